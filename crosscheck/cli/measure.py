@@ -408,7 +408,7 @@ def report_command(folder: Path) -> int:
     """Write the results of other commands in DIR as one HTML page, DIR/report.html.
 
     DIR is the output folder of run, run --all, regress, faults, stress, bench, sweep, loads, modes,
-    controllers, workspace, year or identify, or a folder of such folders, for example `output`.
+    controllers, workspace, sun, year or identify, or a folder of such folders, for example `output`.
     """
     from crosscheck.report.page import write_report
     from crosscheck.sweeps.store import check_finished

@@ -7,11 +7,37 @@ from pathlib import Path
 
 import click
 
-from crosscheck.cli.shared import AGREE, cli, folder_option, progress_shown, say, show, verbose_option
+from crosscheck.cli.shared import (
+    AGREE,
+    cli,
+    folder_option,
+    load_with_warnings,
+    next_step,
+    progress_shown,
+    refuse_excitation,
+    result_paths,
+    scene_options,
+    setting_options,
+    show,
+    verbose_option,
+)
 from crosscheck.support.errors import CrosscheckError
+
+LIBRARY_TRACKER = "tracker_sun"
+"""Name of the default scene, the tracker of the library with stiff controllers."""
+
+LIBRARY_TILT, ANY_TILT = 30.0, 90.0
+"""Default of `--most-tilt`, degrees, for the tracker of the library and for other scenes."""
 
 
 @cli.command("sun")
+@click.argument("scene", required=False)
+@setting_options
+@click.option(
+    "--axis",
+    metavar="BODY=X,Y,Z",
+    help="Normal of the face, in the frame of its body.  [default: panel_7=0,0,1 if there is this body]",
+)
 @click.option(
     "--latitude",
     "latitudes",
@@ -41,9 +67,7 @@ from crosscheck.support.errors import CrosscheckError
 @click.option(
     "--most-tilt",
     type=float,
-    default=30.0,
-    show_default=True,
-    help="Largest tilt from the horizontal, degrees.",
+    help="Largest tilt from the horizontal, degrees.  [default: 30 for the library's tracker, or 90]",
 )
 @click.option(
     "--pitch",
@@ -91,63 +115,83 @@ from crosscheck.support.errors import CrosscheckError
     show_default=True,
     help="Smallest distance from singular configurations, as in workspace.",
 )
-@folder_option("output/sun")
+@folder_option("output/sun/SCENE")
 @verbose_option
 def sun_command(
+    scene: str | None,
+    settings: tuple[str, ...],
+    axis: str | None,
     latitudes: tuple[float, ...],
     dates: tuple[str, ...],
     zone: str | None,
     period: float,
+    most_tilt: float | None,
     stow: float | None,
     wind: str | None,
     wind_from: float | None,
-    output: Path,
+    output: Path | None,
     **numbers: float,
 ) -> int:
     """Simulate a day of solar tracking: set-points, motion, pointing error and irradiance.
 
-    With several latitudes or dates, a table compares the days.
+    SCENE is the name of a library scene or a model file (see run) with PD controllers or position actuators,
+    with x to the east, y to the north and z up; without it, the tracker of the library. A mechanism that
+    cannot face the sun comes as near as it can. With several latitudes or dates, a table compares the days.
     """
+    from crosscheck.design.workspace import axis_of
     from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker
     from crosscheck.solar.day import check_period, tracker_day
     from crosscheck.solar.place import SUN, Place, seconds_of_day
-    from crosscheck.solar.report import day_report, files_of, survey_report, write, write_survey
+    from crosscheck.solar.report import DAY_FILES, SURVEY_FILES, day_report, survey_report
+    from crosscheck.solar.results import write_day, write_survey
     from crosscheck.solar.tracking import Tracking
     from crosscheck.solar.wind import wind_over_day
-    from crosscheck.support.files import check_writable
     from crosscheck.support.time_limits import with_progress
     from newton_euler.optional_packages import optional_package
 
+    # the rules of tracking and the wind
     for name, value in (("--stow", stow), ("--wind-from", wind_from)):
         if value is not None and wind is None:
             raise CrosscheckError(f"{name} has no effect without --wind SPEED|CSV; give both or none")
-    stow_speed = float("inf") if stow is None else stow  # without --stow, no wind is too fast
+    options = refuse_excitation(scene_options(settings), why="controllers follow the sun")
+    if scene is None and options:
+        raise CrosscheckError(f"--set {next(iter(options))} needs a SCENE")
     longitude, altitude = numbers.pop("longitude"), numbers.pop("altitude")
-    tracking = Tracking(stow=stow_speed, **numbers)  # the other options are rules of tracking
+    default_tilt = LIBRARY_TILT if scene is None else ANY_TILT
+    tracking = Tracking(
+        stow=float("inf") if stow is None else stow,  # without --stow, no wind is too fast
+        most_tilt=default_tilt if most_tilt is None else most_tilt,
+        **numbers,  # the other options are rules of tracking
+    )
     check_period(period)
     speeds = None if wind is None else wind_over_day(wind, seconds_of_day(period))
     places = [Place(latitude, longitude, altitude) for latitude in latitudes]
     pairs = list(product(places, dates))
     # raises if pvlib, one of the optional dependencies `SUN`, is missing, before folders are created
     optional_package("pvlib", SUN)
-    check_writable(*files_of(output, several=len(pairs) > 1))
-    scene, days = sun_tracker(), []
+    source, files = scene or LIBRARY_TRACKER, SURVEY_FILES if len(pairs) > 1 else DAY_FILES
+    sources = [source, *([wind] if wind and Path(wind).is_file() else [])]
+    paths = result_paths(output, "output/sun", kind="solar day", names=files, sources=sources)
+    # the tracker and its face
+    loaded = sun_tracker() if scene is None else load_with_warnings(scene, options)
+    normal = PANEL_NORMAL if axis is None else axis_of(axis)
+    if axis is None and PANEL_NORMAL.body not in loaded.mechanism.body_names:
+        bodies = ", ".join(loaded.mechanism.body_names[1:])
+        raise CrosscheckError(f"needed: --axis BODY=X,Y,Z, the normal of a face; bodies: {bodies:.500}")
+    days = []
     with progress_shown() as progress:
         for place, date in with_progress(pairs, progress, "day"):
             days.append(
-                tracker_day(
-                    scene, PANEL_NORMAL, place, date, zone, tracking, period, speeds, wind_from or 0.0
-                )
+                tracker_day(loaded, normal, place, date, zone, tracking, period, speeds, wind_from or 0.0)
             )
         # the report compares the irradiation with that of other panels, such as a fixed one
         progress("sunlight on other panels, plots and recording")
         if len(days) > 1:
             report = survey_report(days)
-            written = write_survey(report, output)
+            written = write_survey(days, report, paths, source, options)
         else:
             report = day_report(days[0])
-            written = write(days[0], report, output)
-    show(report)
-    for path in written:
-        say(f"wrote {path}")
+            written = write_day(days[0], report, paths, source, options)
+    more = f"more  -v; {next_step('report', paths[0].parent)}"
+    show(report, "wrote " + ", ".join(str(path) for path in written), more)
     return AGREE  # exit status 0

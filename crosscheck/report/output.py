@@ -43,6 +43,7 @@ MODEL_RECORDS = {
     "modal analysis": ("modes.json",),
     "comparison of controllers": ("controllers.json",),
     "workspace": ("workspace.json",),
+    "solar day": ("sun.json",),
     "solar year": ("year.json",),
     "fault search": ("faults.json",),
     "fit": ("identify.json",),

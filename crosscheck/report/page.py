@@ -52,6 +52,7 @@ RESULTS = (
     "sweep.json",
     "loads.json",
     "drives.json",
+    "sun.json",
     "year.json",
     "modes.json",
     "controllers.json",
@@ -176,7 +177,7 @@ def write_report(folder: Path, progress: Progress) -> Path:
         raise CrosscheckError(
             f"nothing of crosscheck's in {folder}; needed, there or at most two folders below: "
             f"{', '.join(RESULTS)}, as run, regress, faults, stress, bench, sweep, loads, modes, "
-            "controllers, workspace, year and identify write them"
+            "controllers, workspace, sun, year and identify write them"
         )
     check_writable(path)
 

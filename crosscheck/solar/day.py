@@ -19,6 +19,7 @@ import numpy as np
 from crosscheck.solar.energy import THIS, ClearSky, over_day
 from crosscheck.solar.moves import Plan, plan_moves
 from crosscheck.solar.obstacles import Faced, Ways, face
+from crosscheck.solar.one_axis import aim_of
 from crosscheck.solar.place import Place, Sun, day_times, sun_over
 from crosscheck.solar.tracking import Tracking
 from crosscheck.solar.wind import WIND, wind_on_panel
@@ -28,6 +29,7 @@ from newton_euler.analysis.kinematics.configurations import smallest_turns
 from newton_euler.analysis.loads.envelope import Load, actuator_loads, work_and_energy
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import rotations
+from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.model.wind import WindLoad
@@ -99,6 +101,8 @@ class Day:
     Attributes:
         place: place of the tracker.
         sun: positions of the sun at the times of the set-points.
+        aim: positions that the panel is to face: those of the sun, or for a mechanism with one degree of
+            freedom the nearest directions that it can face (`crosscheck.solar.one_axis`).
         wanted: (n, 3) wanted directions of the panel's normal (east, north, up).
         faced: directions that the panel faces instead of those that are blocked, and the poses of the
             set-points, whose normal is as close to these directions as the mechanism allows.
@@ -115,6 +119,7 @@ class Day:
 
     place: Place
     sun: Sun
+    aim: Sun
     wanted: Array
     faced: Faced
     loads: Loads
@@ -155,10 +160,7 @@ class Day:
     def actuators(self) -> dict[str, ActuatorMotion]:
         """Forces and speeds of the actuators over the day, by the label of their joint coordinate."""
         loads = actuator_loads(self.scene, self.motion)
-        labels = self.scene.mechanism.coordinate_labels
-        return {
-            labels[law.key]: ActuatorMotion.of(labels[law.key], loads, self) for law in self.scene.control
-        }
+        return {name: ActuatorMotion.of(name, loads, self) for name in self.keys}
 
     @property
     def period(self) -> float:
@@ -174,15 +176,20 @@ class Day:
         """Return the total time, h, of the set-points (n,) that are True in `which`."""
         return float(np.sum(which)) * self.period / 3600.0
 
-    def is_slide(self, joint: str) -> bool:
-        """Return True if the set-points of a joint are in m, False if they are in rad."""
-        return self.scene.mechanism.is_slide(joint, 0)
+    @cached_property
+    def keys(self) -> dict[str, Key]:
+        """Joint coordinates of the actuators by their labels, such as `slide_12`."""
+        labels = self.scene.mechanism.coordinate_labels
+        return {labels[law.key]: law.key for law in self.scene.control}
+
+    def is_slide(self, actuator: str) -> bool:
+        """Return True if the set-points of an actuator are in m, False if they are in rad."""
+        return self.scene.mechanism.is_slide(*self.keys[actuator])
 
     @property
     def set_points(self) -> Mapping[str, Array]:
-        """Joint coordinates (n,) of the set-points by actuated joint, m or rad from the initial pose."""
-        coordinates = (law.key for law in self.scene.control)  # (joint, index of the coordinate)
-        return {joint: self.poses.coordinates[joint, index] for joint, index in coordinates}
+        """Joint coordinates (n,) of the set-points by actuator, m or rad from the initial pose."""
+        return {name: self.poses.coordinates[key] for name, key in self.keys.items()}
 
     @cached_property
     def normals(self) -> Array:
@@ -206,13 +213,14 @@ class Day:
         """
         # directions at each time: wanted now, and those of the previous set-point: wanted without and with
         # the dead band, faced, and reached by its pose
-        free_now = self.tracking.normals(self.sun, self.wind, held=False)
+        free_now = self.tracking.normals(self.aim, self.wind, held=False)
         previous = np.maximum(np.arange(len(self.seconds)) - 1, 0)
         free, held = free_now[previous], self.wanted[previous]
         assert self.poses.direction is not None
         faced, reached = self.faced.directions[previous], self.poses.direction[previous]
         return {
-            "limits of tilt, shadow and wind": angles(free_now, self.sun.direction),
+            "one degree of freedom": angles(self.aim.direction, self.sun.direction),
+            "limits of tilt, shadow and wind": angles(free_now, self.aim.direction),
             "the sun's way in a period": angles(free, free_now),
             "dead band": angles(held, free),
             "obstacles": angles(faced, held),
@@ -231,7 +239,7 @@ class Day:
 
         This holds at the time of the set-point and of the previous one, which the panel has followed.
         """
-        may_face = self.tracking.can_face(self.sun) & self.poses.reached & ~self.stowed & ~self.faced.replaced
+        may_face = self.tracking.can_face(self.aim) & self.poses.reached & ~self.stowed & ~self.faced.replaced
         return may_face & np.append(may_face[0], may_face[:-1])
 
     @property
@@ -299,7 +307,8 @@ def pd_laws(scene: Scene) -> list[PD]:
     laws = [law for law in scene.control if isinstance(law, PD)]
     if not laws or len(laws) < len(scene.control):
         raise CrosscheckError(
-            f"scene {scene.name!r}: set-points need PD controllers; found none, or other controllers too"
+            f"scene {scene.name!r}: set-points need PD controllers, such as position actuators of MJCF; "
+            "found none, or other controllers too"
         )
     return laws
 
@@ -327,7 +336,12 @@ def following(scene: Scene, poses: Poses, period: float, tracking: Tracking) -> 
     positions = np.stack([poses.coordinates[key] for key in keys], axis=1)
     plan = plan_moves(times, positions, tracking.speed, tracking.acceleration)
     control = tuple(
-        replace(law, target=plan.function(position), feedforward=plan.function(force))
+        replace(
+            law,
+            target=plan.function(position),
+            feedforward=plan.function(force),
+            gravity_compensation=False,  # the feedforward holds the weight
+        )
         for law, position, force in zip(laws, positions.T, loads.actuator_force.T, strict=True)
     )
     start, end = poses.state(0), float(times[-1])
@@ -376,8 +390,9 @@ def tracker_day(
     """
     check_period(period)
     sun = sun_over(place, day_times(date, zone or place.zone, period))
-    wanted = tracking.normals(sun, wind)
     pd_laws(scene)  # raises for other controllers, before poses are solved
+    aim = aim_of(scene, axis, sun)
+    wanted = tracking.normals(aim, wind)
     faced = face(scene, axis, wanted, tracking)
     scene, loads, plan = following(scene, faced.poses, period, tracking)
     if wind is not None and (load := wind_on_panel(scene, axis, scene.times, wind, wind_from)):
@@ -387,6 +402,7 @@ def tracker_day(
     return Day(
         place=place,
         sun=sun,
+        aim=aim,
         wanted=wanted,
         faced=faced,
         loads=loads,

@@ -9,15 +9,11 @@ tracker's panel from facing the sun.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from crosscheck.report.plots import own_style, png
 from crosscheck.report.table import (
     Cell,
     Column,
@@ -38,11 +34,9 @@ from crosscheck.solar.tables import (
     largest_at,
     obstacles_table,
 )
-from crosscheck.support.files import write_files
-from newton_euler.scalars import Array
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    pass
 
 MAX_PRINTED_HOURS = 9
 """Largest number of rows of the table of a day in the terminal, so that the report has about 25 lines."""
@@ -62,11 +56,11 @@ They are: hours in which the panel faces the sun, largest pointing error in thes
 fixed panel, gains of this tracker and of other panels over the fixed one, and energy of the actuators.
 """
 
-DAY_FILES = ("commands.csv", "day.png", "day.rrd")  # commands are the set-points
-"""Names of the files of one day: set-points, plot and recording."""
+DAY_FILES = ("sun.json", "set_points.csv", "day.png", "day.rrd")
+"""Names of the files of one day: summary, set-points, plots and recording."""
 
-SURVEY_FILES = ("days.csv",)
-"""Names of the files of several days."""
+SURVEY_FILES = ("sun.json", "days.csv")
+"""Names of the files of several days: summaries and table."""
 
 
 def hours(day: Day) -> Iterator[list[str | Cell]]:
@@ -127,7 +121,8 @@ def day_report(day: Day) -> Report:
 def verdict(day: Day) -> str:
     """Report in one sentence how well the panel followed the sun."""
     faces = day.faces
-    text = f"faces the sun for {day.hours(faces):.1f} h"
+    best = "faces the sun" if day.aim is day.sun else "comes as near to the sun as one axis allows"
+    text = f"{best} for {day.hours(faces):.1f} h"
     if faces.any():
         text += f" to {np.degrees(np.max(day.errors[faces])):.2f} deg"
     limited_hours = day.hours(day.sun.is_up & ~faces & ~day.stowed & ~day.faced.replaced)
@@ -227,103 +222,3 @@ def survey_report(days: Sequence[Day]) -> Report:
         parts,
         summary=parts,
     )
-
-
-def table_of_set_points(day: Day) -> bytes:
-    """Return the set-points as CSV: times, sun, joint coordinates in m or rad, and the pointing error."""
-    units = ("m" if day.is_slide(name) else "rad" for name in day.set_points)
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(
-        ["time", "seconds", "sun_azimuth_deg", "sun_elevation_deg"]
-        + [f"{name}_{unit}" for name, unit in zip(day.set_points, units, strict=True)]
-        + ["off_sun_deg", "may_face_sun", "set_point_reached"]
-        + ([] if day.wind is None else ["wind_m_per_s"])
-    )
-    for k, time in enumerate(day.sun.times):
-        angles = np.degrees([day.sun.azimuth[k], day.sun.elevation[k]])
-        writer.writerow(
-            [
-                time.isoformat(),
-                f"{day.seconds[k]:g}",
-                *(f"{angle:.6f}" for angle in angles),
-                *(f"{values[k]:.9g}" for values in day.set_points.values()),
-                f"{np.degrees(day.errors[k]):.6f}",
-                int(day.faces[k]),
-                int(day.poses.reached[k]),
-                *([] if day.wind is None else [f"{day.wind[k]:.6g}"]),
-            ]
-        )
-    return text.getvalue().encode()
-
-
-def files_of(folder: Path, several: bool) -> list[Path]:
-    """Return the paths of the files of a day, or of several days."""
-    return [folder / name for name in (SURVEY_FILES if several else DAY_FILES)]
-
-
-def write_survey(report: Report, folder: Path) -> list[Path]:
-    """Write the table of days as CSV; raises `CrosscheckError` naming the path that cannot be written."""
-    (path,) = files_of(folder, several=True)
-    table = next(part for part in report.parts if isinstance(part, Table))
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(" ".join(column.name.split()) for column in table.columns)
-    writer.writerows([cell.text for cell in row] for _heading, row in table.sections())
-    write_files({path: text.getvalue().encode()})
-    return [path]
-
-
-@own_style()
-def picture(day: Day) -> Figure:
-    """Plot the elevations of sun and panel, the set-points, and the irradiance over the day."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.0, 7.0), layout="constrained")
-    figure.suptitle(f"{day.scene.name}, {day.sun.times[0]:%Y-%m-%d}, {day.place}")
-    hour = day.seconds / 3600.0
-    angle_plot, set_point_plot, light_plot = figure.subplots(3, 1, sharex=True)
-
-    def draw(ax: object, lines: dict[str, Array], label: str) -> None:
-        """Plot lines (n,) by name over the time of day."""
-        for name, values in lines.items():
-            ax.plot(hour, values, label=name, linewidth=1.4)  # type: ignore[attr-defined]
-        ax.set_ylabel(label)  # type: ignore[attr-defined]
-        ax.grid(alpha=0.3)  # type: ignore[attr-defined]
-        ax.legend(loc="upper right", fontsize="small")  # type: ignore[attr-defined]
-
-    sun_elevation = np.where(day.sun.is_up, np.degrees(day.sun.elevation), np.nan)
-    error = np.where(day.sun.is_up, np.degrees(day.errors), np.nan)
-    normal_elevation = np.degrees(np.arcsin(np.clip(day.normals[:, 2], -1.0, 1.0)))
-    angles = {
-        "sun's elevation": sun_elevation,
-        "normal's elevation": normal_elevation,
-        "between both": error,
-    }
-    draw(angle_plot, angles, "deg")
-    units = sorted({"mm" if day.is_slide(name) else "mrad" for name in day.set_points})
-    lines = {name: 1e3 * values for name, values in day.set_points.items()}
-    draw(set_point_plot, lines, f"set-points, {' and '.join(units)}")
-    draw(light_plot, dict(day.irradiance), "clear sky, W/m^2")
-    light_plot.set_xlabel("time of day, h")
-    light_plot.set_xlim(0.0, 24.0)
-    return figure
-
-
-def write(day: Day, report: Report, folder: Path) -> list[Path]:
-    """Write the set-points, the plot and the recording: all files or none.
-
-    Raises:
-        CrosscheckError: naming the path that cannot be written.
-    """
-    from crosscheck.recording.log import log_run
-    from crosscheck.recording.stream import recorded
-
-    paths = files_of(folder, several=False)
-    text = f"# {report.title}\n\n{report.verdict}\n"
-    # `sun_seen` has unit vectors (n, 3) to the sun, in the horizontal plane at night
-    runs, directions = {"newton_euler": day.run}, {"sun": day.sun_seen}
-    recording = recorded(log_run, day.scene, runs, text, report.title, directions=directions)
-    contents = (table_of_set_points(day), png(picture(day)), recording)
-    write_files(dict(zip(paths, contents, strict=True)))
-    return paths

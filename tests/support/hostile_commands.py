@@ -66,7 +66,10 @@ WHOLE: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "report": (("new",), ()),
     "run": (("scene.json",), ("--engines", "newton_euler", "--output", "new")),
     "stress": ((), REFUSED_LATER),
-    "sun": ((), ("--latitude", "11.5", "--date", "2026-03-21", *REFUSED_LATER)),
+    "sun": (
+        ("scene.json",),
+        ("--axis", "crank=0,0,1", "--latitude", "11.5", "--date", "2026-03-21", *REFUSED_LATER),
+    ),
     "sweep": (
         ("scene.json",),
         ("--vary", "crank.mass=normal(0.5, 0.01)", "--runs", "2", "--keep", "final:kinetic_energy",

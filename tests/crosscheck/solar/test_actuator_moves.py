@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from mechanisms import mass_on_rail
 
+from crosscheck.library import load
 from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker
 from crosscheck.solar.day import tracker_day
 from crosscheck.solar.moves import Plan, plan_moves
@@ -156,3 +157,13 @@ def test_set_points_move(name):
 
     with pytest.raises(CrosscheckError, match=f"{name} is 0"):
         replace(Tracking(), **{name: 0.0})
+
+
+def test_the_accelerated_hour_moves_from_set_point_to_set_point():
+    """Moves of at most 0.2 m/s^2 end within the second between two set-points."""
+    scene = load("tracker_sun_day")
+    for law in scene.control:
+        moves = law.target
+        assert np.diff(moves.values).any()
+        assert np.isin(np.arange(1.0, 12.0), moves.times.round(9)).all()
+        assert max(abs(moves.acceleration(t)) for t in np.arange(0.0, 12.0, 0.01)) < 0.2 + 1e-9

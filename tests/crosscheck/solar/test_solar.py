@@ -11,7 +11,8 @@ from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker
 from crosscheck.solar.day import tracker_day
 from crosscheck.solar.energy import FACING, FIXED, FLAT, ONE_AXIS, THIS, ClearSky, over_day
 from crosscheck.solar.place import Place, Sun, day_times, seconds_of_day, sun_over
-from crosscheck.solar.report import hours, table_of_set_points, verdict
+from crosscheck.solar.report import hours, verdict
+from crosscheck.solar.results import table_of_set_points
 from crosscheck.solar.tracking import Tracking
 from crosscheck.solar.wind import wind_over_day
 from crosscheck.support.errors import CrosscheckError
