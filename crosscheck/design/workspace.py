@@ -127,54 +127,36 @@ def _unusable_warning(found: WorkspaceMap) -> str:
 def _ranges(found: WorkspaceMap) -> Table:
     """Tabulate the ranges of all quantities over the reachable points, and over those without collision."""
     space = found.space
-    rows: Rows = [_range_row(found, "reachable", np.ones(len(found.clearance), dtype=bool))]
+    # columns: their names, and (n,) True for their points
+    chosen = {"reachable": np.ones(len(found.clearance), dtype=bool)}
     if found.has_shapes:
-        rows.append(_range_row(found, "without collision", ~found.collides))
-    columns = [
-        Column("points"),
-        Column("number", numeric=True),
-        *(Column(f"{label}\n{found.unit(name)}", numeric=True) for name, label in found.labels.items()),
-        *(Column(f"{name}\nm", numeric=True) for name in found.move_names),
-    ]
-    if space.elevation is not None:
-        columns += number_columns("elevation\ndeg", "azimuth\ndeg")
-    if found.conditioning is not None:
-        columns += number_columns("least\nconditioning")
-    columns += number_columns("least to\nsingular")
-    if found.has_shapes:
-        columns += number_columns("clearance\nmm")
-    return Table("", columns, rows)
+        chosen["without collision"] = ~found.collides
+    total = space.reachable.size
+    rows: Rows = [["points", *(f"{int(np.sum(which))} of {total}" for which in chosen.values())]]
 
+    def add(name: str, values: Array, digits: int, least_only: bool = False) -> None:
+        """Add a row with the range of values (n,), or with the smallest ones."""
+        row: list[str | Cell] = [name]
+        for which in chosen.values():
+            part = values[which]
+            ends = [np.min(part), np.max(part)][: 1 if least_only else 2] if len(part) else []
+            row.append(" .. ".join(_fixed(end, digits) for end in ends) or "-")
+        rows.append(row)
 
-def _range_row(found: WorkspaceMap, name: str, which: Array) -> list[str | Cell]:
-    """Make a row of `_ranges`.
-
-    Args:
-        found: the workspace, with n reachable points.
-        name: text in the first column.
-        which: (n,) True for the points of the row.
-    """
-    # Ranges of the coordinates, of the point's position, and of elevation and azimuth of the axis in degrees.
     # `poses` has reachable points only, the other arrays of the workspace have all points of the grid
-    space = found.space
-    row: list[str | Cell] = [name, f"{int(np.sum(which))} of {space.reachable.size}"]
-    quantities = [(values, 4) for values in space.poses.coordinates.values()]  # with digits after the point
-    quantities += [(values, 4) for values in found.place.T]
-    if space.elevation is not None and space.azimuth is not None:
-        quantities += [
-            (np.degrees(values[space.reachable]), 1) for values in (space.elevation, space.azimuth)
-        ]
-    for values, digits in quantities:
-        chosen = values[which]
-        ends = [np.min(chosen), np.max(chosen)] if len(chosen) else []
-        row.append(" .. ".join(_fixed(end, digits) for end in ends) or "-")
-    # The smallest conditioning, distance from singular poses, and clearance in mm
-    smallest = [found.conditioning] if found.conditioning is not None else []
-    for values in [*smallest, space.driving[space.reachable]]:
-        row.append(_fixed(np.min(values[which]), 3) if which.any() else "-")
+    for name, values in space.poses.coordinates.items():
+        add(found.quantity(name), values, digits=4)
+    for name, values in zip(found.move_names, found.place.T, strict=True):
+        add(f"{name}, m", values, digits=4)
+    for name, angles in (("elevation, deg", space.elevation), ("azimuth, deg", space.azimuth)):
+        if angles is not None:
+            add(name, np.degrees(angles[space.reachable]), digits=1)
+    if found.conditioning is not None:
+        add("least conditioning", found.conditioning, digits=3, least_only=True)
+    add("least distance from singular", space.driving[space.reachable], digits=3, least_only=True)
     if found.has_shapes:
-        row.append(_fixed(1e3 * np.min(found.clearance[which]), 1) if which.any() else "-")
-    return row
+        add("least clearance, mm", 1e3 * found.clearance, digits=1, least_only=True)
+    return Table("", [Column("quantity"), *number_columns(*chosen)], rows)
 
 
 def _fixed(value: float, digits: int) -> str:
