@@ -15,7 +15,12 @@ from typing import Any
 import numpy as np
 
 from newton_euler.analysis.kinematics.configurations import Axis, Chain, Configurations, Goal
-from newton_euler.analysis.kinematics.continuation import RANDOM_STEPS, newton, random_coordinates
+from newton_euler.analysis.kinematics.continuation import (
+    RANDOM_STEPS,
+    newton,
+    random_coordinates,
+    reachable,
+)
 from newton_euler.analysis.kinematics.poses import Poses, goals_of, poses_of
 from newton_euler.arguments import checked
 from newton_euler.errors import OptionError
@@ -49,7 +54,9 @@ class Branches:
     """Assembly branches of a mechanism for the same goals, the nearest to the start first.
 
     Attributes:
-        poses: poses of the branches.
+        poses: poses of the branches, all of which meet the goals. `Poses.reached` is True for the pose on the
+            branch of the start; `Poses.beyond` for the others: the start reaches them only through a singular
+            configuration, or not at all.
         labels: number of the branch, and a sign for each of `blocks`, the sign of the determinant of its
             equations: `+` as at the start, `-` beyond a singular configuration, `0` at one. For planar loops
             the signs distinguish elbow up and elbow down.
@@ -144,11 +151,10 @@ def assembly_branches(
     sign_texts = ["".join("-0+"[int(sign) + 1] for sign in signs[row]) for row in order]
     labels = tuple(f"{k} {text}" for k, text in enumerate(sign_texts))
     configs = configs[order]
-    # all poses meet their goals; the labels, and not `Poses.beyond`, show which of them lie beyond a singular
-    # configuration
-    every = np.ones(len(configs), dtype=bool)
+    # all poses meet their goals; the start reaches one of them on its own branch
+    on_branch = reachable(begin, configs) if len(configs) else np.zeros(0, dtype=bool)
     return Branches(
-        poses=poses_of(configs, goals[order], names, reached=every, beyond=~every),
+        poses=poses_of(configs, goals[order], names, reached=on_branch, beyond=~on_branch),
         labels=labels,
         blocks=tuple(_joints(chain, columns) for _, columns in blocks),
         found=hits[order],

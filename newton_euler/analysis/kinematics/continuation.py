@@ -24,12 +24,22 @@ from newton_euler.analysis.kinematics.configurations import (
     Goal,
     products,
 )
+from newton_euler.analysis.kinematics.steps import (
+    continues,
+    crosses_singular_loops,
+    crossing_signs,
+    distances,
+    stays_on_branch,
+)
 from newton_euler.equations.dense import RANK_TOLERANCE
 from newton_euler.scalars import Array
 
 MAX_STRIDE = 0.25
 """Largest distance between a goal and the solved configuration from which Newton's method starts: rad, or
 lengths divided by the size of the mechanism."""
+
+MIN_STRIDE_FRACTION = 2.0**-10
+"""Shortest stride, as a fraction of the first one. Strides whose ends leave the branch are halved."""
 
 MAX_STRIDES = 1000
 """Largest number of strides (solved intermediate goals) from the start to a goal. Farther goals get longer
@@ -65,6 +75,13 @@ MAX_CHORD_STEPS = 15
 
 DISTANCE_ROUND_OFF = 1e-12
 """Relative change of a squared distance that is round-off."""
+
+SAME_CONFIGURATION = 1e-4
+"""Distance, rad or sizes of the mechanism, below which two configurations are the same. Configurations that
+are nearly singular have half of all digits only."""
+
+NEAR_SAMPLES = 16
+"""Number of samples of a branch from which a configuration is approached."""
 
 PATHS = 64
 """Number of random paths that sample an assembly branch."""
@@ -115,54 +132,11 @@ def largest(*residuals: Array) -> Array:
     return np.max(np.abs(np.hstack(residuals)), axis=1, initial=0.0)
 
 
-def crossing_signs(before: Configurations, after: Configurations) -> Array:
-    """Return -1.0 (n, 2) where a singular configuration was crossed between two configurations, else 1.0.
-
-    At a crossing the determinant of a Jacobian in the tangent space changes its sign: the Jacobian of the
-    goals (first column), or of all chosen coordinates (second column). A Jacobian has a determinant only if
-    it has as many rows as the mechanism has degrees of freedom; otherwise the sign is 1.0.
-
-    Args:
-        before, after: n configurations each.
-    """
-    chain = before.chain
-    signs = np.ones((len(before), 2))
-    # bases of the tangent spaces before and after may have different orientations
-    orientation = np.linalg.det(after.tangent @ np.swapaxes(before.tangent, 1, 2))
-    # Jacobians before and after: of the goals, and of all chosen coordinates (`keys`) if these are not the
-    # same; the first `goal_count` of the chosen coordinates have goals
-    goal_before, goal_after = (each.goal_errors(chain.goal_at(each))[1] for each in (before, after))
-    pairs = [(goal_before, goal_after)]
-    if chain.has_axis_goal or chain.goal_count < len(chain.keys):
-        pairs.append((before.coordinate_jacobian, after.coordinate_jacobian))
-    for column, (jacobian_before, jacobian_after) in enumerate(pairs):
-        if jacobian_before.shape[1] == chain.freedoms:
-            start = np.linalg.det(jacobian_before @ np.swapaxes(before.tangent, 1, 2))
-            end = np.linalg.det(jacobian_after @ np.swapaxes(after.tangent, 1, 2))
-            crossed = (start * orientation * end < 0.0) & (np.abs(start) > RANK_TOLERANCE)
-            signs[crossed, column] = -1.0
-    return signs
-
-
-def crosses_singular_loops(before: Configurations, after: Configurations) -> Array:
-    """Return True (n,) where loops lost rank between two configurations, as where a four-bar linkage is flat.
-
-    There the mechanism has more degrees of freedom and can change to another branch. A smooth path through
-    such a configuration changes the sign of a singular value of the loops' Jacobian J. Then J^+(before)
-    J(after) has an eigenvalue that is negative; on other short strides its eigenvalues are near 1, and 0 in
-    the tangent space.
-
-    Args:
-        before, after: n configurations each, one stride apart.
-    """
-    tangent_projector = np.swapaxes(before.tangent, 1, 2) @ before.tangent
-    change = before.loop_inverse @ after.loops + tangent_projector
-    # all eigenvalues are within the Frobenius norm of the difference from the identity
-    distance = np.linalg.norm(change - np.eye(change.shape[1]), axis=(1, 2))
-    crossed = distance >= 1.0 - RANK_TOLERANCE
-    eigenvalues = np.linalg.eigvals(change[crossed])
-    crossed[crossed] = np.min(eigenvalues.real, axis=1, initial=1.0) < RANK_TOLERANCE
-    return np.asarray(crossed)
+def _goal_step(configs: Configurations, goal: Goal) -> Array:
+    """Compute the shortest dimensionless tangent steps (n, nv) that meet goals in first order."""
+    goal_errors, rows = configs.goal_errors(goal)
+    inverse = np.linalg.pinv(rows @ np.swapaxes(configs.tangent, 1, 2), RANK_TOLERANCE)
+    return products(np.swapaxes(configs.tangent, 1, 2), products(inverse, -goal_errors))
 
 
 def follow(start: Configurations, goal: Goal) -> tuple[Configurations, Array, Array]:
@@ -172,8 +146,8 @@ def follow(start: Configurations, goal: Goal) -> tuple[Configurations, Array, Ar
 
     Returns:
         Configurations; a goal that is not reached has the nearest solved one. True (n,) for goals that are
-        reached without a change of sign of the determinants of `crossing_signs`. True (n,) for goals that the
-        path reaches through a configuration in which loops lose rank.
+        reached without a jump, and without a change of sign of the determinants of `crossing_signs`. True
+        (n,) for goals that the path reaches through a configuration in which loops lose rank.
     """
     from scipy.spatial import cKDTree
 
@@ -188,7 +162,8 @@ def follow(start: Configurations, goal: Goal) -> tuple[Configurations, Array, Ar
     beyond = np.zeros(count, dtype=bool)
     # length of a stride for each goal
     start_distance = np.linalg.norm(points - chain.embed(solved_goals), axis=1)
-    stride = np.maximum(MAX_STRIDE, start_distance / MAX_STRIDES)
+    first_stride = np.maximum(MAX_STRIDE, start_distance / MAX_STRIDES)
+    stride = first_stride.copy()
     while not reached.all():
         # goals whose nearest solved goal is new; those within one stride first
         waiting = np.flatnonzero(~reached)
@@ -204,17 +179,72 @@ def follow(start: Configurations, goal: Goal) -> tuple[Configurations, Array, Ar
         intermediate = chain.between(goal[numbers], solved_goals[source], fraction)
         before = Configurations(chain, solved[source])
         after, met = newton(before, intermediate)
-        met &= np.all(crossing_signs(before, after) > 0.0, axis=1)
-        is_beyond = solved_beyond[source] | crosses_singular_loops(before, after)
+        follows = continues(before, after, _goal_step(before, intermediate))
+        follows &= np.all(crossing_signs(before, after) > 0.0, axis=1)
+        crosses = crosses_singular_loops(before, after)
+        # a stride that leaves the branch is tried again at half the length; the last one may pass a
+        # configuration in which loops lose rank
+        is_long = stride[numbers] > MIN_STRIDE_FRACTION * first_stride[numbers]
+        again = met & is_long & (~follows | crosses)
+        met &= follows & ~again
+        stride[numbers[again]] = 0.5 * np.minimum(stride[numbers], distance)[again]
+        stride[numbers[met]] = np.minimum(2.0 * stride[numbers[met]], first_stride[numbers[met]])
         # the ends of strides are solved goals from now on
-        tried[numbers] = source
+        tried[numbers[~again]] = source[~again]
         values[numbers] = np.where(met[:, None], after.values, before.values)
         reached[numbers] = met & (fraction == 1.0)
+        is_beyond = solved_beyond[source] | crosses
         beyond[numbers] = is_beyond
         solved = np.concatenate([solved, after.values[met]])
         solved_beyond = np.concatenate([solved_beyond, is_beyond[met]])
         solved_goals = solved_goals.with_others(intermediate[met])
     return Configurations(chain, values), reached, beyond & reached
+
+
+def reachable(start: Configurations, configs: Configurations) -> Array:
+    """Return True (n,) for configurations that the start reaches without passing a singular configuration.
+
+    The goals of the chain must determine its pose. Each configuration is approached from the start along a
+    straight line of goals, and then from samples of the start's branch that are near.
+
+    Args:
+        start: one configuration.
+        configs: n configurations with closed loops.
+    """
+    from scipy.spatial import cKDTree
+
+    chain = start.chain
+    # a determinant of the other sign lies beyond a singular configuration for sure, if no rows of the loops
+    # are redundant; the rows of an axis have no signs that can be compared
+    candidates = np.arange(len(configs))
+    if len(chain.independent) == len(chain.closing) and not chain.has_axis_goal:
+        candidates = np.flatnonzero(_signs(configs) * _signs(start) >= 0.0)
+    same = np.zeros(len(configs), dtype=bool)
+    if not candidates.size:
+        return same
+    goal = chain.goal_at(configs)
+    found, reached, beyond = follow(start, goal[candidates])
+    same[candidates] = reached & ~beyond & (distances(found, configs[candidates]) < SAME_CONFIGURATION)
+    missed = candidates[~same[candidates]]
+    if missed.size:
+        # Newton's method to each from several samples at once
+        samples = sample_branch(start)
+        tree = cKDTree(chain.embed(chain.goal_at(samples)))
+        count = min(NEAR_SAMPLES, len(samples))
+        _, nearest = tree.query(chain.embed(goal[missed]), k=count)
+        rows, before = np.repeat(missed, count), samples[np.ravel(nearest)]
+        after, met = newton(before, goal[rows])
+        met &= stays_on_branch(before, after, _goal_step(before, goal[rows]))
+        met &= distances(after, configs[rows]) < SAME_CONFIGURATION
+        same[missed] = met.reshape(-1, count).any(axis=1)
+    return same
+
+
+def _signs(configs: Configurations) -> Array:
+    """Compute the signs (n,) of the determinant of loop equations and coordinates with goals."""
+    chain = configs.chain
+    rows = configs.jacobian[:, chain.independent], configs.coordinate_jacobian[:, : chain.goal_count]
+    return np.asarray(np.sign(np.linalg.det(np.concatenate(rows, axis=1))))
 
 
 def random_coordinates(chain: Chain, count: int, rng: np.random.Generator) -> Array:
@@ -242,8 +272,9 @@ def sample_branch(start: Configurations) -> Configurations:
     for _ in range(PATH_STEPS):
         # `step_by` shortens steps with a component above `MAX_JOINT_STEP`
         along = rng.standard_normal((PATHS, chain.freedoms))
-        after = moved_closed(here, MAX_JOINT_STEP * products(np.swapaxes(here.tangent, 1, 2), along))
-        on_branch = (largest(after.phi) < MAX_RESIDUAL) & np.all(crossing_signs(here, after) > 0.0, axis=1)
+        step = MAX_JOINT_STEP * products(np.swapaxes(here.tangent, 1, 2), along)
+        after = moved_closed(here, step)
+        on_branch = (largest(after.phi) < MAX_RESIDUAL) & stays_on_branch(here, after, step)
         here = Configurations(chain, np.where(on_branch[:, None], after.values, here.values))
         visited.append(after.values[on_branch])
     return Configurations(chain, np.concatenate(visited))
@@ -258,8 +289,8 @@ def approach(configs: Configurations, others: Configurations, goal: Goal) -> tup
         goal: (n) goals.
 
     Returns:
-        The nearest configurations, and signs (n, 2): -1.0 where an odd number of singular configurations was
-        passed, see `crossing_signs`, else 1.0.
+        The nearest configurations, and signs (n, 2): -1.0 where a singular configuration was passed, see
+        `crossing_signs`, else 1.0.
     """
     from scipy.spatial import cKDTree
 
@@ -285,9 +316,10 @@ def approach(configs: Configurations, others: Configurations, goal: Goal) -> tup
             before = here[trying]
             step = 0.5**k * products(np.swapaxes(before.tangent, 1, 2), along[trying])
             after = moved_closed(before, step)
-            better = _is_better(after, before, active_goal[trying])
+            better = _is_better(after, before, active_goal[trying]) & continues(before, after, step)
             improved = active[trying[better]]
-            signs[improved] *= crossing_signs(before[better], after[better])
+            signs[improved] = np.minimum(signs[improved], crossing_signs(before[better], after[better]))
+            signs[improved[crosses_singular_loops(before[better], after[better])]] = -1.0
             values[improved] = after.values[better]
             has_moved[trying[better]] = True
         active = active[has_moved]

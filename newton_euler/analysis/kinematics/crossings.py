@@ -11,15 +11,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from newton_euler.analysis.kinematics.configurations import Chain
-from newton_euler.analysis.kinematics.freedoms import chosen_freedoms
+from newton_euler.analysis.kinematics.configurations import Chain, Configurations
+from newton_euler.analysis.kinematics.continuation import reachable
+from newton_euler.analysis.kinematics.freedoms import Freedom, chosen_freedoms
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.runs.assemble import initial_state
+from newton_euler.scalars import Array
+
+if TYPE_CHECKING:  # `States` are made of poses
+    from newton_euler.analysis.loads.states import States
 
 
 @dataclass(frozen=True)
@@ -63,11 +69,41 @@ def passage(scene: Scene, path: Sequence[State], coordinates: Sequence[str | Key
     if not len(chain.independent):
         return Passage((), ())
     configs = chain.at(np.array([chain.system.coordinates(state)[0] for state in path]))
-    # rows of the loops, of the joint coordinates, and of velocities of the tree that are no joint coordinates
-    others = np.eye(chain.system.nv)[[freedom.v_index for freedom in freedoms if freedom.key is None]]
-    rows = [configs.jacobian[:, chain.independent], configs.coordinate_jacobian]
-    matrix = np.concatenate([*rows, np.tile(others, (len(path), 1, 1))], axis=1)
-    signs = np.sign(np.linalg.det(matrix))
+    signs = _signs(configs, freedoms)
     numbers = np.flatnonzero(signs)  # without states that are singular configurations themselves
     changes = np.flatnonzero(signs[numbers[1:]] != signs[numbers[:-1]])
     return Passage(tuple(freedom.name for freedom in freedoms), tuple(numbers[changes + 1].tolist()))
+
+
+def beyond_start(scene: Scene, states: States) -> Array:
+    """Return True (n,) for states that lie beyond a singular configuration, as seen from the initial state.
+
+    The mechanism does not reach such a state from its initial state without passing a configuration in which
+    its independent joint coordinates, those of control laws first, do not determine the motion.
+
+    Args:
+        scene: gives the mechanism, the control laws and the initial state.
+        states: n states with closed loops.
+    """
+    start = initial_state(scene)
+    freedoms = chosen_freedoms(scene, start, names=None)
+    keys = [freedom.key for freedom in freedoms if freedom.key is not None]
+    chain = Chain(scene.without_forces(), keys, len(keys), None, has_axis_goal=False, state=start)
+    if not len(chain.independent):
+        return np.zeros(len(states), dtype=bool)
+    q, _ = states.coordinates(chain.system, np.zeros(len(states)))
+    begin, configs = chain.at(chain.start[None]), chain.at(q)
+    if len(keys) == len(freedoms):
+        return ~reachable(begin, configs)
+    # motion along other coordinates, such as rotations of a ball, is not followed
+    return np.asarray(_signs(configs, freedoms) * _signs(begin, freedoms) < 0.0)
+
+
+def _signs(configs: Configurations, freedoms: Sequence[Freedom]) -> Array:
+    """Compute the signs (n,) of the determinant of loop equations and independent coordinates."""
+    chain = configs.chain
+    # rows of the loops, of the joint coordinates, and of velocities of the tree that are no joint coordinates
+    others = np.eye(chain.system.nv)[[freedom.v_index for freedom in freedoms if freedom.key is None]]
+    rows = [configs.jacobian[:, chain.independent], configs.coordinate_jacobian]
+    matrix = np.concatenate([*rows, np.tile(others, (len(configs), 1, 1))], axis=1)
+    return np.asarray(np.sign(np.linalg.det(matrix)))

@@ -47,6 +47,9 @@ from newton_euler.scalars import Array
 MAX_GOAL = 1e6
 """Largest distance of a goal from the initial pose, rad or sizes of the mechanism."""
 
+MET = 1e-9
+"""Largest error of a goal that a pose meets: rad, or lengths divided by the size of the mechanism."""
+
 STATIONARY_SLOPE = 1e-7
 """Slope of the distance to the goal, per dimensionless motion, below which no pose nearby is nearer."""
 
@@ -61,8 +64,10 @@ class Poses:
             name of the joint, or by (name, number) if given in this form.
         direction: (n, 3) direction of the axis; None without an axis.
         reached: (n,) True if the goals are met on the assembly branch of the start.
-        beyond: (n,) True for poses that the start reaches only through a singular configuration. In such a
-            configuration the goals, or all chosen and measured coordinates, do not determine the motion.
+        beyond: (n,) True for poses that the start reaches only through a singular configuration, or by a
+            jump. In such a configuration the goals, or all chosen and measured coordinates, do not determine
+            the motion. If loops lose rank there instead, as in a four-bar that lies flat, `reached` may be
+            True as well: the mechanism may have taken another branch.
         missing: (n,) value minus goal of each chosen joint coordinate, m or rad.
         angle: (n,) angle between the axis and its goal, rad; zeros without a goal.
         slope: (n,) decrease of the dimensionless distance to the goals per dimensionless motion. 0 at a local
@@ -99,18 +104,27 @@ class Poses:
         return f"<Poses: {len(self)}, reached: {np.sum(self.reached)}>"
 
     def report(self) -> list[str]:
-        """Return a line for each pose that does not meet its goals on the branch of the start."""
+        """Return a line for each pose that misses its goals, or lies beyond a singular configuration."""
         lines, mechanism = [], self._configs.chain.scene.mechanism
         keys = {name: mechanism.coordinate(name) for name in self.missing}
         units = {name: "m" if mechanism.is_slide(*key) else "rad" for name, key in keys.items()}
-        for k in np.flatnonzero(~self.reached):
+        for k in np.flatnonzero(~self.reached | self.beyond):
             errors = [f"{name!r} by {values[k]:.6g} {units[name]}" for name, values in self.missing.items()]
             errors += [f"axis by {self.angle[k]:.6g} rad"] if self.angle.any() else []
             is_nearest = self.slope[k] < STATIONARY_SLOPE
             pose_text = "nearest pose" if is_nearest else "nearest pose not found, the last one"
             where = ", beyond a singular configuration" if self.beyond[k] else ""
+            if self.beyond[k] and self._distance(int(k)) < MET:
+                lines.append(f"pose {k}: meets its goals, but only beyond a singular configuration")
+                continue
             lines.append(f"pose {k}: out of reach, {pose_text}{where}, misses {', '.join(errors)}")
         return lines
+
+    def _distance(self, k: int) -> float:
+        """Return the largest dimensionless error of the goals of a pose."""
+        units = self._configs.chain.units
+        errors = [abs(values[k]) / unit for values, unit in zip(self.missing.values(), units, strict=False)]
+        return float(max([*errors, self.angle[k]]))
 
     @checked
     def state(self, number: int) -> State:
@@ -250,11 +264,10 @@ def solve_poses(
     chain, names, goal = goals_of(scene, coordinates, axis, towards, measure, start)
     # continuation from the start
     begin = chain.at(chain.start[None])
-    configs, reached, _ = follow(begin, goal)
+    configs, reached, beyond = follow(begin, goal)
     # goals that are not reached: the nearest pose, searched from the last one or from random poses of the
     # branch
     missed = np.flatnonzero(~reached)
-    beyond = np.zeros(len(reached), dtype=bool)
     if missed.size and nearest:
         # signs (n, 2) are -1 if a singular configuration was passed: of the Jacobian of the goals, and of all
         # chosen and measured coordinates

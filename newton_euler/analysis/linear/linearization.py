@@ -460,7 +460,9 @@ class Linearization:
         for name in names:
             if _is_coordinate(self.scene, name):
                 jacobian = measured[mechanism.coordinate(name)].jacobian
-                rows.append(sum(x * tangent[k] for k, x in jacobian.items())[None])
+                # a coordinate that no motion of the tree changes has an empty Jacobian
+                row = sum((x * tangent[k] for k, x in jacobian.items()), np.zeros(tangent.shape[1]))
+                rows.append(row[None])
                 labels.append(name)
             elif name in freedom_names:
                 rows.append(np.eye(len(freedom_names))[[freedom_names.index(name)]])

@@ -8,9 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
+import numpy as np
+
+from newton_euler.analysis.kinematics.crossings import beyond_start
 from newton_euler.analysis.kinematics.poses import Poses
 from newton_euler.analysis.loads.states import States
 from newton_euler.arguments import checked
@@ -21,7 +24,7 @@ from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.scalars import Floats
+from newton_euler.scalars import Array, Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +44,8 @@ class Loads:
 
     Examples:
         >>> held = statics(load("tracker_gravity"))
-        >>> isinstance(held, Loads), held.actuator_force.shape
-        (True, (2,))
+        >>> isinstance(held, Loads), held.actuator_force.shape, held.beyond
+        (True, (2,), array(False))
     """
 
     actuators: tuple[str | Key, ...]
@@ -50,6 +53,18 @@ class Loads:
     actuator_force: Floats
     reaction_force: Floats
     reaction_torque: Floats
+    _scene: Scene
+    _states: States
+
+    @cached_property
+    def beyond(self) -> Array:
+        """True (n,) for states on another assembly branch than the scene's initial state.
+
+        The mechanism reaches them only through a configuration in which its independent joint coordinates,
+        those of control laws first, do not determine the motion. The actuators cannot bring it there.
+        """
+        beyond = beyond_start(self._scene, self._states)
+        return np.asarray(beyond[0]) if self.actuator_force.ndim == 1 else beyond
 
     def __repr__(self) -> str:
         states = len(self.actuator_force) if self.actuator_force.ndim == 2 else 1
@@ -130,7 +145,7 @@ def inverse_dynamics(
         pairs = [by_key.get(key, (key, 0.0)) for key in coordinates]
         columns = [given.column(f"rate of {quoted(name)}", value) for name, value in pairs]
         v = compiled.velocities(q, columns, times)
-    return loads_of(compiled, compiled.solve(q, v, wanted, times), given.is_single)
+    return loads_of(compiled, compiled.solve(q, v, wanted, times), scene, given)
 
 
 @lru_cache(maxsize=CACHED_SCENES)
@@ -147,15 +162,17 @@ def compiled_dynamics(
     return InverseDynamics(scene, coordinates, actuators)
 
 
-def loads_of(compiled: InverseDynamics, solved: SolvedStates, is_single: bool) -> Loads:
+def loads_of(compiled: InverseDynamics, solved: SolvedStates, scene: Scene, given: States) -> Loads:
     """Return the loads of solved states as a record.
 
     Args:
         compiled: compiled inverse dynamics; its `servos` name the coordinates and the actuators.
         solved: results for n states.
-        is_single: True if a single state was given; the arrays then lose their first axis.
+        scene: the scene that the user gave.
+        given: the states. If a single state was given, the arrays lose their first axis.
     """
     mechanism = compiled.scene.mechanism
     arrays = [solved.actuator_force, solved.reaction_force, solved.reaction_torque]
     names = tuple(map(mechanism.coordinate_name, compiled.servos.actuators))
-    return Loads(names, mechanism.joint_names, *(array[0] if is_single else array for array in arrays))
+    u, force, torque = (array[0] if given.is_single else array for array in arrays)
+    return Loads(names, mechanism.joint_names, u, force, torque, scene, given)

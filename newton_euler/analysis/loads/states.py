@@ -14,7 +14,7 @@ import numpy as np
 
 from newton_euler.analysis.kinematics.poses import Poses
 from newton_euler.equations.couplings import counted_angles
-from newton_euler.equations.relative import Relative
+from newton_euler.equations.kinematics import TreeKinematics
 from newton_euler.equations.system import at_time
 from newton_euler.errors import MechanismError, finite_array, quoted
 from newton_euler.model.joint import Key
@@ -77,7 +77,7 @@ class States:
         angles = {key: float(angle[row]) for key, angle in self.angles.items()}
         return State(self.position[row], self.quaternion[row], *velocities, angles=angles)
 
-    def coordinates(self, system: Relative, times: Array) -> tuple[Array, Array]:
+    def coordinates(self, system: TreeKinematics, times: Array) -> tuple[Array, Array]:
         """Compute the coordinates q (n, nq) and velocities v (n, nv) of the states.
 
         Args:

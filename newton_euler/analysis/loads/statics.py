@@ -63,7 +63,7 @@ def statics(
     """
     # states at rest, with prescribed motions that hold their coordinates
     given = States(scene, initial_state(scene) if states is None else states)
-    given.velocities = None
+    given.velocities, original = None, scene
     if scene.motions:
         held_motions = tuple(motion.held_at_start() for motion in scene.motions)
         scene = replace(scene, motions=held_motions, initial_state=given.state(0))
@@ -77,7 +77,7 @@ def statics(
     q, v = given.coordinates(compiled.system, times)
     solved = compiled.solve(q, v, zeros, times)
     _check_at_rest(compiled, given, solved)
-    return loads_of(compiled, solved, given.is_single)
+    return loads_of(compiled, solved, original, given)
 
 
 def _independent(scene: Scene, state: State, keys: tuple[Key, ...]) -> tuple[Key, ...]:

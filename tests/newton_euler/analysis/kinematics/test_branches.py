@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import tracker_loops
-from mechanisms import planar_four_bar
+from mechanisms import bar, planar_four_bar
 
 from crosscheck.library import load
-from newton_euler import Axis, assembly_branches, solve_poses
+from newton_euler import (
+    Axis,
+    Body,
+    Mechanism,
+    Revolute,
+    Scene,
+    assembly_branches,
+    solve_poses,
+    statics,
+)
+from newton_euler.analysis.kinematics.crossings import passage
 from newton_euler.errors import MechanismError, OptionError
 from newton_euler.model.euler_parameters import rotations
 
@@ -50,6 +62,40 @@ def test_each_branch_is_followed_from_its_pose():
     assert branches.labels[0] == "0 +"  # the one of the published pose
     assert signs.count("+") == signs.count("-")  # sheets join in pairs, one of each sign
     assert branches.labels == assembly_branches(scene, heights).labels
+    # in a connected region of the slider heights the initial pose reaches one of the poses
+    assert branches.poses.beyond.tolist() == [False] + [True] * (len(branches) - 1)
+    assert statics(replace(scene, initial_state=branches.poses.state(3)), branches.poses).beyond.tolist() == [
+        k != 3 for k in range(len(branches))
+    ]
+
+
+def test_the_rocker_of_a_folding_four_bar_is_beyond_where_it_changed_its_side():
+    """Both assembly modes are poses of one motion. It passes coupler and rocker in line: the crank returns.
+
+    No side turns all around, as the shortest and the longest are longer together than the others (Grashof).
+    """
+    a, b, c, d = [0.0] * 3, [0.3, 0.0, 0.4], [0.7, 0.0, 0.7], [1.2, 0.0, 0.0]
+    lengths = [np.linalg.norm(np.subtract(*ends)) for ends in ((b, a), (c, b), (c, d), (d, a))]
+    assert min(lengths) + max(lengths) > 0.5 * sum(lengths)
+    bodies = [Body.ground(), bar("crank", a, b), bar("coupler", b, c), bar("rocker", d, c)]
+    joints = [
+        Revolute("at_a", "ground", "crank", a, axis=[0.0, 1.0, 0.0]),
+        Revolute("at_b", "crank", "coupler", b, axis=[0.0, 1.0, 0.0]),
+        Revolute("at_c", "coupler", "rocker", c, axis=[0.0, 1.0, 0.0]),
+        Revolute("at_d", "ground", "rocker", d, axis=[0.0, 1.0, 0.0]),
+    ]
+    scene = Scene("folding", Mechanism(bodies, joints), 1.0, 0.1)
+    found = assembly_branches(scene, {"at_a": 0.1}, measure=("at_d",))
+    assert found.poses.beyond.tolist() == [False, True]
+    # the rocker turns through all of its range, and so through both modes; the crank turns back and forth
+    angles = found.poses.coordinates["at_d"]
+    between = solve_poses(scene, {"at_d": np.linspace(angles[0], angles[1], 50)}, measure=("at_a",))
+    assert between.reached.all()
+    assert between.coordinates["at_a"][-1] == pytest.approx(0.1, abs=1e-9)
+    path = [between.state(k) for k in range(50)]
+    assert len(passage(scene, path, coordinates=["at_a"]).rows) == 1
+    assert passage(scene, path, coordinates=["at_a"]).beyond
+    assert passage(scene, path, coordinates=["at_d"]).rows == ()
 
 
 def test_elbows_of_a_flat_four_bar():
@@ -65,6 +111,10 @@ def test_elbows_of_a_flat_four_bar():
     joints = pin + (along * reach + up[:, None] * np.array([-reach[1], reach[0]])) / distance
     angles = np.arctan2(joints[:, 0] - 1.0, joints[:, 1]) - np.arctan2(-0.1, 0.7)
     assert branches.labels == ("0 +", "1 -")
+    assert branches.poses.beyond.tolist() == [False, True]  # elbow up and elbow down
+    assert branches.poses.reached.tolist() == [True, False]
+    (line,) = branches.poses.report()
+    assert line == "pose 1: meets its goals, but only beyond a singular configuration"
     assert branches.blocks == (("at_d", "at_b"),)
     np.testing.assert_allclose(branches.poses.coordinates["at_d"], angles, rtol=0.0, atol=1e-12)
 
@@ -75,6 +125,8 @@ def test_slider_crank_has_both_sides_and_both_turns_of_its_rod():
     expected = np.array([x, x, -x, -x]) - 0.2
     np.testing.assert_allclose(branches.poses.coordinates["guide"], expected, rtol=0.0, atol=1e-12)
     assert branches.labels == ("0 +", "1 -", "2 -", "3 +")
+    # the slider's distance from the crank's plane is a root of positive numbers: it never changes its side
+    assert branches.poses.beyond.tolist() == [False, True, True, True]
 
 
 def test_windows_have_a_sign_each_and_folded_ones_none():

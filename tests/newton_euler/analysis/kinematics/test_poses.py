@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from finite_difference import derivative
-from mechanisms import planar_four_bar, slider_tree
+from mechanisms import bar, planar_four_bar, slider_tree
+from scipy.ndimage import label
 
 from crosscheck.library import load
 from crosscheck.library.slider_crank import PIN, PIVOT, WRIST
@@ -16,12 +17,14 @@ from newton_euler import (
     Body,
     Mechanism,
     PrescribedMotion,
+    Revolute,
     Scene,
     Screw,
     Sine,
     solve_poses,
 )
-from newton_euler.analysis.kinematics.poses import STATIONARY_SLOPE
+from newton_euler.analysis.kinematics.continuation import follow
+from newton_euler.analysis.kinematics.poses import STATIONARY_SLOPE, goals_of
 from newton_euler.errors import MechanismError, NewtonEulerError, OptionError, UnknownNameError
 from newton_euler.model.euler_parameters import rotations
 
@@ -103,6 +106,46 @@ def test_four_bar_with_redundant_rows_agrees_with_its_closed_form():
     np.testing.assert_allclose(off, 0.0, atol=1e-13)
 
 
+@pytest.mark.parametrize("gap", [0.03, 0.003, -0.003])
+def test_linkages_that_are_almost_parallelograms_stay_on_their_branch(gap):
+    """Crank and rocker of 1, coupler of 2, feet 2 + gap apart: in line, the true branch turns back sharply.
+
+    The rocker's angle is that of the crossing of two circles on the side of the initial pose. A pose of the
+    other branch is near; a stride used to jump there.
+    """
+    ground, first = 2.0 + gap, 1.0  # angle of the crank at the initial pose
+
+    def wrist(crank):
+        """Points (n, 2) in x and z at which coupler and rocker meet."""
+        pin = np.stack([np.cos(crank), np.sin(crank)], axis=1)
+        reach = np.array([ground, 0.0]) - pin
+        distance = np.linalg.norm(reach, axis=1, keepdims=True)
+        along = (distance**2 + 2.0**2 - 1.0) / (2.0 * distance)
+        up = np.sqrt(2.0**2 - along**2)
+        return pin + (along * reach + up * np.stack([-reach[:, 1], reach[:, 0]], axis=1)) / distance
+
+    (end,) = wrist(np.array([first]))
+    a, b, c, d = [0.0] * 3, [np.cos(first), 0.0, np.sin(first)], [end[0], 0.0, end[1]], [ground, 0.0, 0.0]
+    bodies = [Body.ground(), bar("crank", a, b), bar("coupler", b, c), bar("rocker", d, c)]
+    joints = [
+        Revolute("at_a", "ground", "crank", a, axis=[0.0, 1.0, 0.0]),
+        Revolute("at_b", "crank", "coupler", b, axis=[0.0, 1.0, 0.0]),
+        Revolute("at_c", "coupler", "rocker", c, axis=[0.0, 1.0, 0.0]),
+        Revolute("at_d", "ground", "rocker", d, axis=[0.0, 1.0, 0.0]),
+    ]
+    scene = Scene("almost", Mechanism(bodies, joints), 1.0, 0.1)
+    angles = np.linspace(-3.1, 3.1, 63)  # rotations about y turn z towards x
+    crank = first - angles
+    poses = solve_poses(scene, {"at_a": angles}, measure=["at_d"])
+    distance = np.sqrt(1.0 + ground**2 - 2.0 * ground * np.cos(crank))
+    possible = (distance < 3.0) & (distance > 1.0)
+    assert np.array_equal(poses.reached, possible)
+    points = wrist(crank[possible]) - [ground, 0.0]
+    expected = np.arctan2(end[1], end[0] - ground) - np.arctan2(points[:, 1], points[:, 0])
+    off = np.remainder(poses.coordinates["at_d"][possible] - expected + np.pi, 2.0 * np.pi) - np.pi
+    np.testing.assert_allclose(off, 0.0, atol=1e-9)
+
+
 def test_jacobians_agree_with_differences_and_invert_each_other():
     scene, heights = load("tracker"), grid(0.01, 0.06, 5)
     poses = solve_poses(scene, heights, NORMAL)
@@ -159,6 +202,50 @@ def test_direction_out_of_reach_has_the_smallest_angle():
     assert np.sum(near) >= 4
     assert np.all(poses.angle[near] > least[near] - 1e-3)  # of the grid's spacing of 5 mm
     assert "beyond a singular configuration" in poses.report()[np.flatnonzero(poses.beyond)[0]]
+
+
+def test_directions_that_only_a_jump_reaches_are_not_reached():
+    """Compared with the directions of a grid that is connected without singular configurations.
+
+    Both determinants keep their signs there: of the sliders, and of the panel's normal. Strides of a quarter
+    of a radian used to jump past two singular configurations at once.
+    """
+    scene = load("tracker")
+    heights = np.arange(-0.16, 0.32, 0.008)
+    mesh = np.meshgrid(heights, heights, indexing="ij")
+    chain, _, goal = goals_of(
+        scene, dict(zip(SLIDERS, map(np.ravel, mesh), strict=True)), NORMAL, None, (), None
+    )
+    begin = chain.at(chain.start[None])
+    configs, reached, _ = follow(begin, goal)
+
+    def determinants(configs):
+        """Of the loops with the sliders, and with rotations about two axes across the normal."""
+        across = np.cross(configs.direction, [1.0, 0.0, 0.0])
+        across = np.stack([across, np.cross(configs.direction, across)], axis=1)
+        loops = configs.jacobian[:, chain.independent]
+        return np.array(
+            [
+                np.linalg.det(np.concatenate([loops, rows], axis=1))
+                for rows in (configs.coordinate_jacobian, across @ configs.axis_jacobian)
+            ]
+        )
+
+    same_sign = np.all(determinants(configs) * determinants(begin) > 0.0, axis=0)
+    regions, _ = label((reached & same_sign).reshape(mesh[0].shape))
+    start = np.argmin(np.abs(heights))
+    directions = configs.direction[(regions == regions[start, start]).ravel()]
+    goals = np.random.default_rng(1).normal(size=(120, 3))
+    goals /= np.linalg.norm(goals, axis=1, keepdims=True)
+    poses = solve_poses(scene, axis=NORMAL, towards=goals, measure=SLIDERS)
+    angle = np.arccos(np.clip(np.max(goals @ directions.T, axis=1), -1.0, 1.0))
+    step = 0.15  # rad between the grid's directions at the edges of the region, where the normal turns fast
+    assert np.max(angle[poses.reached]) < step
+    assert poses.reached[angle < 0.02].all()
+    assert np.sum(poses.reached) > 20
+    others = poses.angle < 1e-9
+    assert np.sum(others & ~poses.reached) > 5  # poses on other branches, which are marked
+    assert poses.beyond[others & ~poses.reached].all()
 
 
 def test_joints_and_a_direction_together_and_freedom_that_is_left():

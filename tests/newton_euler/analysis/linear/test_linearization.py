@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from finite_difference import derivative
-from mechanisms import bar, carts
+from mechanisms import bar, carts, planar_four_bar
 
 from crosscheck.library import load
 from newton_euler import BranchWarning, start
@@ -23,7 +23,7 @@ from newton_euler.integrators.projection import project_position, project_veloci
 from newton_euler.model.control import PD
 from newton_euler.model.digital_control import Sampled
 from newton_euler.model.forces import JointSpring
-from newton_euler.model.joint_kinds import Prismatic, Revolute, Spherical
+from newton_euler.model.joint_kinds import PointOnLine, Prismatic, Revolute, Spherical
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import PrescribedMotion, Steps
 from newton_euler.model.scene import Scene
@@ -352,6 +352,17 @@ def test_accelerations_by_coordinates_and_rates_are_pinocchios():
     assert model.A[d:, d:] == pytest.approx(data.ddq_dv[grid], abs=1e-10 * np.abs(data.ddq_dv).max())
     inverse = np.linalg.inv(system.mass_matrix(q)[np.ix_(places, places)])
     assert linearize(scene, state, names, names).B[d:] == pytest.approx(inverse, rel=1e-9)
+
+
+def test_coordinates_that_are_always_zero_have_zero_rows():
+    """A point on a line in the plane of a four-bar does not move along the line."""
+    flat = planar_four_bar()
+    hinge = flat.mechanism.joint("at_c")
+    pin = PointOnLine("at_c", "coupler", "rocker", hinge.point, axis=[0.0, 1.0, 0.0])
+    joints = [pin if joint.name == "at_c" else joint for joint in flat.mechanism.joints]
+    scene = replace(flat, mechanism=Mechanism(flat.mechanism.bodies, joints))
+    model = linearize(scene, outputs=["at_c", "at_a"], coordinates=["at_a"])
+    np.testing.assert_allclose(model.C, [[0.0, 0.0], [1.0, 0.0]], rtol=0.0, atol=1e-14)
 
 
 def test_modes_have_twists_of_all_bodies_and_rigid_ones_are_zero():

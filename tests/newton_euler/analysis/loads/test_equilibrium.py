@@ -28,6 +28,7 @@ from newton_euler import (
     simulate,
     solve_poses,
     start,
+    statics,
 )
 from newton_euler.analysis.kinematics.crossings import passage
 from newton_euler.analysis.loads.equilibrium import settle
@@ -173,6 +174,13 @@ def test_the_tracker_falls_through_a_singular_configuration():
     beyond = solve_poses(scene, ends)
     assert not beyond.reached.any()
     np.testing.assert_allclose(found.state.position, run.position[-1], rtol=0.0, atol=1e-9)
+    # loads along the run are those of the initial branch until then
+    begin = simulate(replace(scene, duration=0.3, output_period=0.01))
+    loads = statics(scene, begin)
+    first = np.flatnonzero(loads.beyond)[0]
+    assert abs(time - begin.time[first]) < 0.026  # outputs of the search are 25 ms apart
+    assert loads.beyond[first:].all()
+    assert not statics(scene).beyond
     with pytest.warns(
         BranchWarning, match="beyond a singular configuration of 'slide_12', 'slide_13'"
     ) as caught:
