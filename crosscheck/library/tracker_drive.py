@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
 
 from crosscheck.library.options import Between
 from crosscheck.library.tracker import tracker_gravity
 from crosscheck.library.tracker_wind import PERIODS, STROKES, up_and_down
+from newton_euler.analysis.loads.power_screws import Thread
 from newton_euler.model.control import PD
 from newton_euler.model.forces import Force
 from newton_euler.model.geometry import Capsule
@@ -62,35 +63,6 @@ ANGLE_GAIN, RATE_GAIN = 0.03, 5e-4
 """Gains of the motors' PD controllers, N m/rad and N m s/rad: 20 Hz with the inertia of the rotor."""
 
 
-class Screw(NamedTuple):
-    """Efficiencies of a lead screw, of a square thread.
-
-    Attributes:
-        forward: of the motor that moves the nut.
-        backward: of the nut that turns the motor; negative for a screw that is self-locking.
-    """
-
-    forward: float
-    backward: float
-
-
-def screw_efficiencies(friction: float, lead: float = LEAD, diameter: float = PITCH_DIAMETER) -> Screw:
-    """Return the efficiencies of a lead screw.
-
-    Args:
-        friction: coefficient of friction in the thread.
-        lead: travel of the nut in a revolution, m.
-        diameter: mean diameter of the thread, m.
-
-    With the lead angle lambda and the friction angle phi they are tan lambda / tan (lambda + phi) and
-    tan (lambda - phi) / tan lambda. Source: R. G. Budynas and J. K. Nisbett, Shigley's Mechanical Engineering
-    Design, "The mechanics of power screws".
-    """
-    lead_angle, friction_angle = np.arctan(lead / (np.pi * diameter)), np.arctan(friction)
-    forward = np.tan(lead_angle) / np.tan(lead_angle + friction_angle)
-    return Screw(float(forward), float(np.tan(lead_angle - friction_angle) / np.tan(lead_angle)))
-
-
 def tracker_drive(
     friction: Annotated[float, Between(0.0, 0.5, "")] = 0.15,
     play: Annotated[float, Between(0.0, 1e-3, "m")] = 5e-5,
@@ -115,7 +87,7 @@ def tracker_drive(
         target = up_and_down(stroke, period)
         angle = Sine(target.amplitude / RATIO, target.angular_frequency, target.phase, target.offset / RATIO)
         control.append(PD(bearing.name, ANGLE_GAIN, RATE_GAIN, target=angle))
-        forces += _drive(slider, bearing.name, screw_efficiencies(friction), play)
+        forces += _drive(slider, bearing.name, Thread(LEAD, PITCH_DIAMETER, friction), play)
     return replace(
         scene,
         name="tracker_drive",
@@ -145,7 +117,7 @@ def _shaft(scene: Scene, slider: str) -> tuple[Body, Revolute]:
     return shaft, bearing
 
 
-def _drive(slider: str, motor: str, screw: Screw, play: float) -> Sequence[Force]:
+def _drive(slider: str, motor: str, screw: Thread, play: float) -> Sequence[Force]:
     """Return the screw between the motor's shaft and the slider, the friction of both, and the stops."""
     low, high = TRAVEL
     return (
@@ -157,8 +129,8 @@ def _drive(slider: str, motor: str, screw: Screw, play: float) -> Sequence[Force
             NUT_STIFFNESS,
             play,
             NUT_DISSIPATION,
-            screw.forward,
-            screw.backward,
+            screw.efficiency,
+            screw.back_efficiency,
             SCREW_TRANSITION_SPEED,
         ),
         JointFriction(motor, BEARING_FRICTION, transition_speed=BEARING_TRANSITION_SPEED),

@@ -1,4 +1,4 @@
-"""The tracker on lead screws: efficiencies, what the motors need, and that the screws hold without them."""
+"""The tracker on lead screws: what the motors need, and that the screws hold without them."""
 
 from dataclasses import replace
 
@@ -7,28 +7,13 @@ import pytest
 
 import newton_euler
 from crosscheck.library import load
-from crosscheck.library.tracker_drive import LEAD, PITCH_DIAMETER, RATIO, screw_efficiencies
-from newton_euler import PD, statics
+from crosscheck.library.tracker_drive import LEAD, PITCH_DIAMETER, RATIO, ROTOR_INERTIA
+from newton_euler import PD, inverse_dynamics, statics
+from newton_euler.analysis.loads.actuator_motions import ActuatorMotion
+from newton_euler.analysis.loads.drives import Drive, Screw, motor_motion
+from newton_euler.analysis.loads.power_screws import Thread
 
-
-def test_efficiencies_of_a_worked_example():
-    """Shigley's Mechanical Engineering Design, Example 8-1: a square thread of lead 8 mm and mean diameter
-    30 mm, friction 0.08; without the collar 15.94 N m raise and -0.466 N m lower 6.4 kN."""
-    raising, lowering = 15.94, -0.466
-    ideal = 6400.0 * 0.008 / (2.0 * np.pi)
-    screw = screw_efficiencies(0.08, lead=0.008, diameter=0.030)
-    assert ideal / screw.forward == pytest.approx(raising, abs=0.01)
-    assert -ideal * screw.backward == pytest.approx(lowering, abs=0.01)
-
-
-def test_a_thread_without_friction_loses_nothing():
-    assert screw_efficiencies(0.0) == pytest.approx((1.0, 1.0), abs=1e-15)
-
-
-@pytest.mark.parametrize("factor", [0.99, 1.01])
-def test_a_thread_locks_itself_from_the_tangent_of_the_lead_angle_on(factor):
-    friction = factor * LEAD / (np.pi * PITCH_DIAMETER)
-    assert (screw_efficiencies(friction).backward < 0.0) == (factor > 1.0)
+SCREW = Thread(LEAD, PITCH_DIAMETER, friction=0.15)
 
 
 def test_the_screws_hold_the_panel_without_motors():
@@ -52,6 +37,29 @@ def test_motors_need_the_force_on_the_slider_over_the_efficiency_of_the_screw():
     held = statics(replace(scene, forces=(), control=()), state, ["slide_12", "slide_13"])
     speed = run.joint("slide_13").rates[row, 0]
     rail, bearing = 0.4 + 0.2 / (1.0 + (speed / 0.01) ** 2), 1e-3
-    torque = RATIO * (held.actuator_force[1] + rail) / screw_efficiencies(0.15).forward + bearing
+    torque = RATIO * (held.actuator_force[1] + rail) / SCREW.efficiency + bearing
     # the panel's accelerations at this speed are 1e-2 of gravity's
     assert run.actuator_force[row, 1] == pytest.approx(torque, rel=0.01)
+
+
+def test_sizing_of_drives_gives_the_torque_of_the_simulated_motors():
+    """Raised and lowered, also against the self-locking screws; at both ends of a stroke the nuts vibrate."""
+    scene = load("tracker_drive", play=0.0)
+    run = newton_euler.simulate(scene)
+    names = ["slide_12", "slide_13", "motor_2", "motor_3"]
+    rates = {name: run.joint(name).rates[:, 0] for name in names}
+    accelerations = {name: np.gradient(rate, run.time, edge_order=2) for name, rate in rates.items()}
+    needed = inverse_dynamics(replace(scene, forces=(), control=()), run, accelerations, names)
+    stages = Screw(LEAD, SCREW.efficiency, SCREW.back_efficiency)
+    drive = Drive("motor", 1.0, 1.0, 1e4, friction_torque=1e-3, motor_inertia=ROTOR_INERTIA, screw=stages)
+    middles = 0.5 * (run.time[1:] + run.time[:-1])
+    for k, name in enumerate(names[:2]):
+        speed = rates[name]
+        rail = (0.4 + 0.2 / (1.0 + (speed / 0.01) ** 2)) * np.sign(speed)
+        force, position = needed.actuator_force[:, k] + rail, run.joint(name).coordinates[:, 0]
+        motion = ActuatorMotion(name, True, run.time, force, position, speed)
+        torque = motor_motion(drive, motion).torque.mean(axis=0)
+        simulated = 0.5 * (run.actuator_force[1:, k] + run.actuator_force[:-1, k])
+        steady = ((middles > 0.5) & (middles < 1.1)) | ((middles > 1.9) & (middles < 2.3))
+        assert torque[steady] == pytest.approx(simulated[steady], rel=2e-3)
+        assert np.sign(torque[middles > 1.9][0]) == (1.0 if k == 0 else -1.0)  # pushed down

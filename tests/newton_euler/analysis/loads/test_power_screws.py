@@ -64,6 +64,11 @@ def test_self_locking_begins_where_friction_exceeds_the_slope(flank):
     assert Thread(lead, diameter, critical, flank).efficiency < 0.5
 
 
+def test_a_thread_without_friction_loses_nothing():
+    thread = Thread(0.004, 0.018, 0.0)
+    assert (thread.efficiency, thread.back_efficiency) == pytest.approx((1.0, 1.0), abs=1e-15)
+
+
 def test_a_screw_with_too_much_lead_wedges():
     assert Thread(0.1, 0.01, 0.3).can_turn
     assert not Thread(0.11, 0.01, 0.3).can_turn  # pi d = 31.4 mm, f l = 33 mm
