@@ -56,8 +56,8 @@ They are: hours in which the panel faces the sun, largest pointing error in thes
 fixed panel, gains of this tracker and of other panels over the fixed one, and energy of the actuators.
 """
 
-DAY_FILES = ("sun.json", "set_points.csv", "day.png", "day.rrd")
-"""Names of the files of one day: summary, set-points, plots and recording."""
+DAY_FILES = ("sun.json", "set_points.csv", "motion.csv", "day.png", "day.rrd")
+"""Names of the files of one day: summary, set-points, motion of the actuators, plots and recording."""
 
 SURVEY_FILES = ("sun.json", "days.csv")
 """Names of the files of several days: summaries and table."""

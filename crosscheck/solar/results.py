@@ -18,6 +18,8 @@ from crosscheck.solar.energy import THIS
 from crosscheck.solar.obstacles import Cause
 from crosscheck.solar.tables import largest_at
 from crosscheck.support.files import write_files
+from newton_euler.analysis.loads.actuator_motions import actuator_motions
+from newton_euler.analysis.loads.motion_files import motions_csv
 from newton_euler.scalars import Array
 
 if TYPE_CHECKING:
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
 def write_day(
     day: Day, report: Report, paths: Sequence[Path], source: str, options: Mapping[str, str]
 ) -> list[Path]:
-    """Write the summary, the set-points, the plots and the recording of a day: all files or none.
+    """Write the summary, the set-points, the motion, the plots and the recording of a day: all files or none.
 
     Args:
         day: the day.
@@ -43,7 +45,7 @@ def write_day(
     from crosscheck.recording.log import log_run
     from crosscheck.recording.stream import recorded
 
-    summary, table, plots, recording = paths
+    summary, table, motion, plots, recording = paths
     text = f"# {report.title}\n\n{report.verdict}\n"
     # `sun_seen` has unit vectors (n, 3) to the sun, in the horizontal plane at night
     runs, directions = {"newton_euler": day.run}, {"sun": day.sun_seen}
@@ -56,6 +58,7 @@ def write_day(
         {
             summary: as_json(content, report, pictures),
             table: table_of_set_points(day),
+            motion: motions_csv(actuator_motions(day.scene, day.motion)).encode(),
             **pictures,
         }
     )

@@ -14,6 +14,8 @@ from crosscheck.solar.one_axis import aim_of
 from crosscheck.solar.place import Place, day_times, sun_over
 from crosscheck.solar.tracking import Tracking
 from newton_euler import Axis
+from newton_euler.analysis.loads.actuator_motions import demand
+from newton_euler.analysis.loads.motion_files import read_motions
 
 pvlib = pytest.importorskip("pvlib")
 
@@ -142,6 +144,14 @@ def test_set_points_and_forces_are_in_a_table(results):
 def test_sums_are_in_a_json(results):
     content = json.loads((results / "sun.json").read_text())
     drive = content["actuators"]["tube"]
+    # the file of forces and motion, for the sizing of drives, has the same largest values
+    (motion,) = read_motions(str(results / "motion.csv"))
+    assert (motion.name, motion.is_slide) == ("tube", False)
+    found = demand(motion)
+    assert found.work == pytest.approx(drive["energy"], rel=1e-12)
+    assert found.peak_speed == pytest.approx(drive["speed"], rel=1e-12)
+    # at rest includes the slow end of the transient after a move
+    assert found.holding_force == pytest.approx(abs(drive["holding"]["force"]), rel=0.02)
     assert drive["unit"] == "N m"
     largest = MASS * G * HEIGHT * np.sin(np.radians(60.0))
     assert abs(drive["holding"]["force"]) == pytest.approx(largest, rel=1e-4)
