@@ -3,8 +3,9 @@
 A scene is the mechanism with forces and control laws that `mjcf.reader` imports from the file. crosscheck
 compares a run of the file with an accurate reference solution of the scene, to measure the error of the
 file's settings and the causes of the error. The run has the initial state and the controls of the scene. In a
-complete run, all elements of the file act, and the run records when each contact, limit and dry friction acts
-first. In a reduced run, the elements that the scene does not have, such as contacts, are switched off.
+complete run, all elements of the file act, and the run records when each contact, limit and dry friction
+that the scene does not have acts first. In a reduced run, the elements that the scene does not have, such as
+contacts, are switched off. Dry friction and limits that the scene approximates by forces act in both runs.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from newton_euler.reading.file_run import (
     FileSimulation,
     evaluations_per_step,
 )
-from newton_euler.reading.import_report import ImportReport
+from newton_euler.reading.import_report import FRICTION, LIMITS, ImportReport
 from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 
@@ -54,6 +55,9 @@ DEFAULT_SOLVER: dict[str, Any] = {"solver": "Newton", "iterations": 100, "tolera
 FINE_STEP_DIVISOR = 10
 """Divisor of the time step in a run that shows the error of the step: methods of order 1 leave a tenth of it.
 """
+
+TOPICS = {"LIMIT": LIMITS, "FRICTIONLOSS": FRICTION}
+"""Topic in the import report of a feature of MuJoCo."""
 
 MAX_LISTED = 5
 """Largest number of equalities that a comment in an XML fragment names."""
@@ -114,6 +118,7 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         """
         self._model, self.scene, self._report, self._inputs = model, scene, report, inputs
         self.settings = MujocoSettings.of(model)
+        self.approximated = [f"{topic} of {element}" for element, topic in sorted(report.approximated_topics)]
         self._start, self._mocap_poses = reference.start, reference.mocap_poses
         # bodies of the scene, and the rigid groups of MuJoCo's bodies that each of them represents
         self._names = reference.names
@@ -293,7 +298,7 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         data.act[:], data.eq_active[:] = self._inputs.activation, active
         data.ctrl[:] = self._inputs.control
         recorder = Recorder(model, data, self._groups)
-        events = None if reduced else EventRecorder(model, data)
+        events = None if reduced else EventRecorder(model, data, self._report.approximated_topics)
         # steps of one call of `mj_step`: one, if Python has to change controls or examine each step
         steps_per_call = every if events is None and self._inputs.are_constant else 1
         thread_time = 0.0
@@ -351,8 +356,10 @@ class MujocoFile(FileSimulation[MujocoSettings]):
             poses[mocap_bodies] = of_keyframe[mocap_numbers]
         active = model.eq_active0.copy()
         if reduced:
+            simulated = {topic for _, topic in self._report.approximated_topics}
             for name in UNSIMULATED_FEATURES:
-                model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
+                if TOPICS.get(name) not in simulated:
+                    model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
             # switches off all left-out elements but equalities, and returns the numbers of these equalities
             active[switch_off_left_out(model, self._report)] = 0
         return model, active

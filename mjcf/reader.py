@@ -31,6 +31,7 @@ from mjcf.file_run import MujocoFile
 from mjcf.reading.actuators import Actuators, driven_joints
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.forces import Forces, armatures
+from mjcf.reading.friction_and_limits import friction_and_limits
 from mjcf.reading.joints import GearGroups, Joints
 from mjcf.reading.laws import Drive, choose_excitation
 from mjcf.reading.leftovers import report_leftovers
@@ -339,7 +340,8 @@ def _build_scene(
     coordinate_armatures, ball_armatures = armatures(start, joints, gear_groups, report)
     for key, inertia in actuators.armatures.items():
         coordinate_armatures[key] = coordinate_armatures.get(key, 0.0) + inertia
-    report_leftovers(start, bodies, joints, report)  # contacts, limits and other elements not simulated
+    switched = tuple(friction_and_limits(start, joints, request, report))
+    report_leftovers(start, bodies, joints, report)  # contacts and other elements not simulated
     report.names = _file_names(start, bodies, joints, actuators.drives)
     # the name of the scene is the name of the model, or of the file
     given_name = model_name(model)
@@ -355,7 +357,7 @@ def _build_scene(
         request.output_period,
         gravity,
         actuators.laws,
-        forces=tuple(forces.forces),
+        forces=(*forces.forces, *switched),
         motions=tuple(loops.held_motions),  # of coordinates that an equality holds constant
         armatures=(
             *(Armature(joint, inertia, k) for (joint, k), inertia in coordinate_armatures.items()),

@@ -17,9 +17,11 @@ import numpy as np
 
 from mjcf.layout import element_name
 from mjcf.report_audit import Equalities, elements_left_out, switch_off_left_out, unaccounted
+from mjcf.switched_rows import approximated, coordinates
 from newton_euler.equations.system import MassProperties
 from newton_euler.model.scene import Scene
 from newton_euler.reading.activity import Bounds
+from newton_euler.reading.friction_and_stops import FrictionAndStops
 from newton_euler.reading.import_report import ImportReport, unique_name
 from newton_euler.reading.quantities import FORCE_KINDS, Constraints, ForceLimit, Forces, Kinematics
 from newton_euler.reading.reference import MAX_HINGE_ROW_ANGLE, ReferenceModel, Sample, whole_body_names
@@ -44,7 +46,7 @@ PROPORTIONAL_ARRAYS = {
 Damping of joints is stored by degree of freedom ("dof")."""
 
 GRAVITY_ROW, ROWS_BUT_GRAVITY = FORCE_KINDS.index("gravity"), slice(1, None)
-"""Row of gravity, and rows of springs, dampers and actuators, in arrays (4, nv) of all `FORCE_KINDS`."""
+"""Row of gravity, and rows of all other forces, in arrays (kinds, nv) of all `FORCE_KINDS`."""
 
 
 class WatchedForceLimit(NamedTuple):
@@ -116,6 +118,7 @@ class MjcfReference(ReferenceModel):
         self.unaccounted += tuple(self._changing_activations(report, self._data.act == keyframe_activations))
         # switch off the elements that the scene leaves out, after all elements were compared with the report
         self._force_limits = tuple(self._watched_force_limits(report))
+        self._friction_and_stops = approximated(self._model, report).with_choices_of(scene)
         self._leave_out(report)
         # the scene keeps the loop-closure errors of the start, and so does the reference
         self.keep_offsets()
@@ -337,6 +340,7 @@ class MjcfReference(ReferenceModel):
             springs=springs,
             dampers=dampers,
             actuators=data.qfrc_actuator + others,
+            friction_and_stops=self._friction_and_stops.forces(coordinates(self._model, q), v),
             bias=data.qfrc_bias + gravity,
         )
 
@@ -362,7 +366,8 @@ class MjcfReference(ReferenceModel):
         mujoco.mj_energyPos(self._model, self._data)
         mujoco.mj_energyVel(self._model, self._data)
         potential, kinetic = self._data.energy
-        return float(kinetic), float(potential)
+        of_stops = self._friction_and_stops.energy(coordinates(self._model, q))
+        return float(kinetic), float(potential) + of_stops
 
     # One element at a time
 
@@ -378,6 +383,8 @@ class MjcfReference(ReferenceModel):
         saved_gravity = model.opt.gravity.copy()
         for name in array_names:
             getattr(model, name)[:] = 0.0
+        all_switched = self._friction_and_stops
+        self._friction_and_stops = FrictionAndStops.none(model.nv)
         # gravity of 1 m/s^2 along each axis; other forces that depend on gravity are another element
         gravity_variants = []
         for axis in np.eye(3):
@@ -403,7 +410,11 @@ class MjcfReference(ReferenceModel):
                 yield name, self._force_variants(kind, k, samples, saved_gravity)
                 for field in fields:
                     getattr(model, f"{kind}_{field}")[rows] = 0.0
+        for name, alone in all_switched.elements(self.motions):
+            self._friction_and_stops = alone
+            yield name, [self._force_kinds(samples)]
         # restore the model
+        self._friction_and_stops = all_switched
         for name, values in saved.items():
             getattr(model, name)[:] = values
         model.opt.gravity[:] = saved_gravity
@@ -423,7 +434,7 @@ class MjcfReference(ReferenceModel):
             gravity: (3,) gravity of the model, m/s^2; the present gravity is zero.
 
         Returns:
-            For each variant and each sample, forces (4, nv) of all `FORCE_KINDS`.
+            For each variant and each sample, forces (kinds, nv) of all `FORCE_KINDS`.
         """
         model = self._model
         if kind == "body":  # gravity compensation is proportional to gravity; the weight itself is removed
@@ -447,7 +458,7 @@ class MjcfReference(ReferenceModel):
         return variants
 
     def _force_kinds(self, samples: Sequence[Sample]) -> list[Array]:
-        """Return forces (4, nv) of all `FORCE_KINDS` for each sample."""
+        """Return forces (kinds, nv) of all `FORCE_KINDS` for each sample."""
         without_bias = slice(len(FORCE_KINDS))  # the bias is the last field of `Forces`
         return [np.array(self.forces(sample.q, sample.v)[without_bias]) for sample in samples]
 

@@ -66,13 +66,20 @@ def switch_off(model: Any, kind: str, k: int, topic: str) -> None:
         kind: kind of the element, such as "joint"; for elements without number, the whole name in the report,
             such as "option wind". Equalities are not switched off here, but by `Equalities.active`.
         k: number of the element.
-        topic: property in the report, such as "armature"; "" for the whole element. Topics without effect on
-            forces, such as "limits", need no change.
+        topic: property in the report, such as "armature"; "" for the whole element.
     """
     match kind, topic:
         case "joint", "not linear":
             model.jnt_stiffnesspoly[k] = 0.0
             model.dof_dampingpoly[model.dof_jntid == k] = 0.0
+        case "joint", "limits":
+            model.jnt_limited[k] = 0
+        case "joint", "dry friction":
+            model.dof_frictionloss[model.dof_jntid == k] = 0.0
+        case "tendon", "limits":
+            model.tendon_limited[k] = 0
+        case "tendon", "dry friction":
+            model.tendon_frictionloss[k] = 0.0
         case "joint", "limit of actuator forces":
             model.jnt_actfrclimited[k] = 0
         case "tendon", "not linear":

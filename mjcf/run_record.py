@@ -1,12 +1,12 @@
 """Outputs of a file's run in MuJoCo: poses, energies, loop errors, and events.
 
-An event is the first action of a contact, limit or dry friction, which the scene imported from the file does
+An event is the first action of a contact, limit or dry friction that the scene imported from the file does
 not have. `mjcf.file_run` makes the runs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from typing import Any
 
 import mujoco
@@ -17,17 +17,18 @@ from newton_euler.model.euler_parameters import continuous
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.file_run import CONTACT_OF, Event, LoopErrors
+from newton_euler.reading.import_report import FRICTION, LIMITS
 from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 
 EVENT_KINDS = {
-    mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT: ("limits", "joint"),
-    mujoco.mjtConstraint.mjCNSTR_LIMIT_TENDON: ("limits", "tendon"),
-    mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF: ("dry friction", "joint"),
-    mujoco.mjtConstraint.mjCNSTR_FRICTION_TENDON: ("dry friction", "tendon"),
+    mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT: (LIMITS, "joint"),
+    mujoco.mjtConstraint.mjCNSTR_LIMIT_TENDON: (LIMITS, "tendon"),
+    mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF: (FRICTION, "joint"),
+    mujoco.mjtConstraint.mjCNSTR_FRICTION_TENDON: (FRICTION, "tendon"),
 }
-"""Topic and kind of element, by type of MuJoCo's constraint rows, of limits and dry friction, which the
-imported scene does not have."""
+"""Topic, as in the import report, and kind of element of limits and dry friction, by type of MuJoCo's
+constraint rows."""
 
 
 class Recorder:
@@ -151,13 +152,20 @@ class Recorder:
 class EventRecorder:
     """First contact of each pair of bodies, and first action of each limit and dry friction, in a run.
 
+    Limits and dry friction that the imported scene has as forces are no events.
+
     Attributes:
         events: events so far, in the order of time.
     """
 
-    def __init__(self, model: Any, data: Any) -> None:
-        """Take a model and the data of the run."""
-        self._model, self._data = model, data
+    def __init__(self, model: Any, data: Any, simulated: Set[tuple[str, str]]) -> None:
+        """Take a model and the data of the run.
+
+        Args:
+            model, data: model and data.
+            simulated: elements and topics that the scene has, see `ImportReport.approximated_topics`.
+        """
+        self._model, self._data, self._simulated = model, data, simulated
         # (type of constraint row, number of the element), or numbers of the bodies of a contact
         self._known_limits: set[tuple[int, int]] = set()
         self._known_contacts: set[tuple[int, ...]] = set()
@@ -183,9 +191,11 @@ class EventRecorder:
                 self._known_limits.add((row_type, number))
                 topic, kind = topic_and_kind
                 # MuJoCo numbers the friction of joints by degree of freedom
-                is_of_dof = topic == "dry friction" and kind == "joint"
+                is_of_dof = topic == FRICTION and kind == "joint"
                 owner = int(model.dof_jntid[number]) if is_of_dof else number
-                self._add_event(f"{topic} of {element_name(model, kind, owner)}")
+                element = element_name(model, kind, owner)
+                if (element, topic) not in self._simulated:
+                    self._add_event(f"{topic} of {element}")
 
     def _add_event(self, element: str) -> None:
         """Add an event of an element at the beginning of the last step."""

@@ -86,14 +86,21 @@ def closing_gains(timestep: float, integrator: str, factor: float = 1.0) -> tupl
     return rate * rate, damping
 
 
-def unsupported(reference: PinocchioReference) -> str:
-    """Return the reason why a loop with Pinocchio cannot simulate a model; "" if the loop can."""
+def unsupported(reference: PinocchioReference, scene: Scene) -> str:
+    """Return the reason why a loop with Pinocchio cannot simulate a model; "" if the loop can.
+
+    Args:
+        reference: Pinocchio's model.
+        scene: imported scene.
+    """
     if any(closure.kind == "rod" for closure in reference.closures):
         return "constraintDynamics has no rods"
     if reference.has_nonlinear_couplings:
         return "Pinocchio has no couplings with powers of coordinates"
     if len(reference.couplings) and reference.closures:
         return "constraintDynamics has no mimics and couplings"
+    if scene.switched_forces:
+        return "a loop with constraintDynamics or aba has no dry friction and no limits, and the scene has"
     return ""
 
 

@@ -8,7 +8,7 @@ files and of models in memory from `PinocchioReference`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +17,14 @@ import pinocchio as pin
 from newton_euler.equations.system import MassProperties
 from newton_euler.model.couplings import MAX_DEGREE
 from newton_euler.model.scene import Scene
-from newton_euler.reading.import_report import ImportReport, topics_not_simulated, unique_name
+from newton_euler.reading.friction_and_stops import FrictionAndStops
+from newton_euler.reading.import_report import (
+    FRICTION,
+    LIMITS,
+    ImportReport,
+    topics_not_simulated,
+    unique_name,
+)
 from newton_euler.reading.quantities import FORCE_KINDS, Constraints, Forces, Kinematics
 from newton_euler.reading.reference import MAX_HINGE_ROW_ANGLE, ReferenceModel, Sample, whole_body_names
 from newton_euler.scalars import Array, cross, tilde
@@ -63,7 +70,12 @@ class PointSpring(NamedTuple):
 
 
 GRAVITY_ONLY = np.eye(len(FORCE_KINDS))[FORCE_KINDS.index("gravity")][:, None]
-"""Factors (4, 1) that keep the row of gravity in forces (4, nv) of all `FORCE_KINDS`."""
+"""Factors (kinds, 1) that keep the row of gravity in forces (kinds, nv) of all `FORCE_KINDS`."""
+
+
+STICK_TIME, STOP_RATE, STOP_DISSIPATION = 1e-3, 5e4, 40.0
+"""Numbers of dry friction and limits as forces, which a URDF does not have: time, s, in which friction takes
+the transition speed; stiffness of stops per inertia, 1/s^2; and dissipation of stops, s/m or s/rad."""
 
 
 class PinocchioReference(ReferenceModel):
@@ -101,6 +113,10 @@ class PinocchioReference(ReferenceModel):
         self._data: Any = model.createData()
         self._damping, self._stiffness, self._rests = np.zeros((3, model.nv))
         self._springs: list[PointSpring] = []
+        # dry friction and limits of hinges and slides (nv,); only those that the scene has as forces act
+        self._friction = np.zeros(model.nv)
+        self._low, self._high = np.full((2, model.nv), [[-np.inf], [np.inf]])
+        self._friction_and_stops = FrictionAndStops.none(model.nv)
         # couplings and mimics: linear factors (c, nv), constants (c,), elements, and factors of the powers 1
         # to `MAX_DEGREE` of coordinates (c, MAX_DEGREE, nv), with 0 for power 1
         self._linear, self._offsets = np.zeros((0, model.nv)), np.zeros(0)
@@ -120,6 +136,29 @@ class PinocchioReference(ReferenceModel):
         self.file_state = q, np.zeros(self._model.nv)
         self.find_start(scene)
         self.keep_offsets()
+        if topics := self._report.approximated_topics:
+            self._friction_and_stops = self._approximated(topics).with_choices_of(scene)
+
+    def _approximated(self, topics: Set[tuple[str, str]]) -> FrictionAndStops:
+        """Return friction and limits as forces, with the inertias of coordinates at the start.
+
+        Args:
+            topics: elements and topics that the scene has, see `ImportReport.approximated_topics`.
+        """
+        found = FrictionAndStops.none(self._model.nv)
+        # inertia of a coordinate while all other joints move freely: inverse of its acceleration per force
+        basis = self.samples[0].freedom.basis
+        mass = sum(self.mass_matrix(self.start))
+        mobility = np.diag(basis @ np.linalg.pinv(basis.T @ mass @ basis) @ basis.T)
+        for k, motion in enumerate(self.motions):
+            if (motion, FRICTION) in topics:
+                found.friction[k] = self._friction[k]
+                found.speed[k] = STICK_TIME * self._friction[k] * mobility[k]
+            if (motion, LIMITS) in topics:
+                found.low[k], found.high[k] = self._low[k], self._high[k]
+                found.stiffness[k] = STOP_RATE / mobility[k]
+                found.dissipation[k] = STOP_DISSIPATION
+        return found
 
     def _set_names_and_units(self, scene: Scene) -> None:
         """Set names of bodies and velocities, units, and largest displacements, see `ReferenceModel`."""
@@ -319,7 +358,12 @@ class PinocchioReference(ReferenceModel):
         bias = np.array(pin.nonLinearEffects(self._model, self._data, q, v)) + gravity
         springs, dampers = self.springs_and_dampers(q, v)
         return Forces(
-            gravity=gravity, springs=springs, dampers=dampers, actuators=np.zeros(len(v)), bias=bias
+            gravity=gravity,
+            springs=springs,
+            dampers=dampers,
+            actuators=np.zeros(len(v)),
+            friction_and_stops=self._friction_and_stops.forces(self._coordinates(q), v),
+            bias=bias,
         )
 
     def springs_and_dampers(self, q: Array, v: Array) -> tuple[Array, Array]:
@@ -358,13 +402,14 @@ class PinocchioReference(ReferenceModel):
         for spring in self._springs:
             _, _, energy = self._point_spring_forces(spring, q, v)
             potential += energy
-        return float(kinetic), potential
+        of_stops = self._friction_and_stops.energy(self._coordinates(q))
+        return float(kinetic), potential + of_stops
 
     def elements(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[list[Array]]]]:
         """Yield each element with its forces at all samples, while all other elements have none.
 
-        The forces are a list of variants of the element. A variant has for each sample an array (4, nv) of
-        all `FORCE_KINDS`.
+        The forces are a list of variants of the element. A variant has for each sample an array (kinds, nv)
+        of all `FORCE_KINDS`.
         """
         # gravity of 1 m/s^2 along each axis
         gravity, gravity_variants = self._model.gravity.linear.copy(), []
@@ -374,6 +419,13 @@ class PinocchioReference(ReferenceModel):
             gravity_variants.append([forces * GRAVITY_ONLY for forces in by_sample])
         self._model.gravity.linear = gravity
         yield "gravity", gravity_variants
+        all_switched = self._friction_and_stops
+        for name, alone in all_switched.elements(self.motions):
+            self._friction_and_stops = alone
+            rows = np.zeros(len(FORCE_KINDS))[:, None]
+            rows[FORCE_KINDS.index("friction_and_stops")] = 1.0
+            yield name, [[self._force_kinds(sample) * rows for sample in samples]]
+        self._friction_and_stops = FrictionAndStops.none(self._model.nv)
         # springs and dampers of each joint
         for name in dict.fromkeys(self.motions):
             of_joint, by_sample = np.array([motion == name for motion in self.motions]), []
@@ -383,17 +435,20 @@ class PinocchioReference(ReferenceModel):
             if np.any(by_sample):
                 what = "stiffness and damping" if np.any(self._stiffness[of_joint]) else "damping"
                 yield f"{name}: {what}", [by_sample]
-        # point springs; rows of `FORCE_KINDS`: gravity, springs, dampers, actuators
+        # point springs
         for spring in self._springs:
             by_sample = []
             for sample in samples:
                 spring_force, damper_force, _ = self._point_spring_forces(spring, sample.q, sample.v)
-                zero = 0.0 * spring_force
-                by_sample.append(np.array([zero, spring_force, damper_force, zero]))
+                forces = np.zeros((len(FORCE_KINDS), self._model.nv))
+                forces[FORCE_KINDS.index("springs")] = spring_force
+                forces[FORCE_KINDS.index("dampers")] = damper_force
+                by_sample.append(forces)
             yield f"spring {spring.name!r}", [by_sample]
+        self._friction_and_stops = all_switched
 
     def _force_kinds(self, sample: Sample) -> Array:
-        """Return the forces (4, nv) of all `FORCE_KINDS` at a sample."""
+        """Return the forces (kinds, nv) of all `FORCE_KINDS` at a sample."""
         without_bias = slice(len(FORCE_KINDS))  # the bias is the last field of `Forces`
         return np.array(self.forces(sample.q, sample.v)[without_bias])
 

@@ -44,6 +44,7 @@ from urdf.pinocchio_reference import PinocchioReference
 from urdf.reading.bodies import W_X_Y_Z, Tree
 from urdf.reading.extensions import read_extensions
 from urdf.reading.forces import armatures, joint_springs, point_springs
+from urdf.reading.friction_and_limits import friction_and_limits
 from urdf.reading.given import Given, PinocchioModel
 from urdf.reading.leftovers import report_collisions, report_joints
 from urdf.reading.loops import closing_joints, couplings
@@ -359,7 +360,7 @@ def _add_users_loop(robot: Robot, reference: PinocchioReference, scene: Scene, r
         default = replace(default, kp=None, kd=None)
     settings = replace(default, **robot.own_run)
     planes = {} if robot.root is None else turned_planes(robot.root)
-    problem = unsupported(reference)
+    problem = unsupported(reference, scene)
     if planes:  # the reference has them as the format defines them
         problem = f"Pinocchio moves planar joint {next(iter(planes))!r} across z, not across its axis"
     if problem:
@@ -444,11 +445,11 @@ def _scene(
         *point_springs(robot.springs, start, tree, report),
     )
     joint_armatures = tuple(armatures(robot.joints, tree, report))
-    report_joints(robot.joints, start, tree, report)
+    report_joints(robot.joints, report)
     if robot.root is not None:
         report_collisions(robot.root, report)
     # `unweld_loops` merges the body halves by which `urdf.write` closes loops in exported files
-    return Scene(
+    scene = Scene(
         name,
         unweld_loops(Mechanism(tree.bodies, joints, gears)),
         request.duration,
@@ -459,3 +460,5 @@ def _scene(
         description=robot.description,
         redundancy_tolerance=request.redundancy_tolerance,
     )
+    switched = friction_and_limits(robot.joints, start, tree, scene, request, report)
+    return replace(scene, forces=(*springs, *switched))

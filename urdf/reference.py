@@ -27,6 +27,10 @@ HINGE_MODELS = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointMode
 """Pinocchio's joint models of hinges, by axis."""
 
 
+MAX_LIMIT = 1e9
+"""Magnitude, m or rad, from which on a limit of a joint is none."""
+
+
 class MimicOfVelocities(NamedTuple):
     """Mimic of a URDF, x_follower = multiplier * x_driver + offset, by indices of velocities.
 
@@ -74,6 +78,7 @@ class UrdfReference(PinocchioReference):
         super().__init__(model, joint_names, _closures(model, self._loops), report, scene)
         # forces and couplings
         self._damping = self._dampings()
+        self._set_friction_and_limits()
         self._add_extensions(extensions)
         self.unaccounted = tuple(self._unaccounted(report))
         self._add_couplings()
@@ -97,6 +102,23 @@ class UrdfReference(PinocchioReference):
             if dynamics is not None and name in numbers and "damping" not in self._topics(f"joint {name!r}"):
                 dampings[model.joints[numbers[name]].idx_v] = float(dynamics.get("damping", 0.0))
         return dampings
+
+    def _set_friction_and_limits(self) -> None:
+        """Read dry friction (elements `<dynamics>`) and limits (elements `<limit>`) of hinges and slides."""
+        model = self._model
+        numbers = {str(model.names[k]): k for k in range(1, model.njoints) if model.joints[k].nv == 1}
+        for joint in self._root.findall("joint"):
+            name, dynamics, limit = str(joint.get("name")), joint.find("dynamics"), joint.find("limit")
+            if name not in numbers:
+                continue
+            index = model.joints[numbers[name]].idx_v
+            if dynamics is not None:
+                self._friction[index] = float(dynamics.get("friction", 0.0))
+            if limit is not None:
+                for limits, attribute in ((self._low, "lower"), (self._high, "upper")):
+                    value = float(limit.get(attribute, 0.0))
+                    if abs(value) < MAX_LIMIT:
+                        limits[index] = value
 
     def _add_extensions(self, extensions: Extensions) -> None:
         """Add springs, dampers and rotors of elements beyond the URDF standard, such as those of Drake.
@@ -229,6 +251,14 @@ class ModelReference(PinocchioReference):
                 self._damping[in_v] = model.damping[in_v]
             if ARMATURE in topics:
                 model.armature[in_v] = 0.0
+            index = joint.idx_v
+            if joint.nv == 1:
+                dry = model.lowerDryFrictionLimit[index], model.upperDryFrictionLimit[index]
+                self._friction[index] = max(abs(x) for x in (*dry, model.friction[index]))
+            if joint.nv == joint.nq == 1:
+                low, high = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
+                if max(abs(low), abs(high)) < MAX_LIMIT:
+                    self._low[index], self._high[index] = low, high
         # elements that the report does not mention
         mentioned = {entry.element for entry in report.entries}
         elements = [*(f"joint {name!r}" for name in joint_names[1:]), *(each.element for each in closures)]

@@ -2,8 +2,8 @@
 
 Models are MJCF files (.xml, .mjcf), URDF files (.urdf) with an optional file of loop closures, and models of
 MuJoCo or Pinocchio in memory. This module parses their options; the packages `mjcf` and `urdf` read them.
-The fate of an element is the result of its import: "exactly", "inactive" (not simulated, and without effect
-in the run) or "left out".
+The fate of an element is the result of its import: "exactly", "approximated" (by a similar force), "inactive"
+(not simulated, and without effect in the run) or "left out".
 """
 
 from __future__ import annotations
@@ -94,6 +94,8 @@ COMMON = {
         _switch,
         "on or off",
     ),
+    "friction": Option("off|regularized, dry friction of joints as a force", "off"),
+    "limits": Option("off|compliant, limits of joints as springs with damping", "off"),
 }
 """Options of all models of other tools, by name."""
 

@@ -83,6 +83,8 @@ class Judgement:
         until: time, s, at which the comparison ends because the first of `events` acts; None if it ends with
             the run. It ends with the event if the error until then is a larger part of the motion until then
             than the error of the whole run, or if only the run without `events` stops early.
+        approximated: dry friction and limits of the file that the reference has as forces. The difference of
+            both models is a part of the error.
         other: the errors of the whole run if the comparison ends with an event, or else the errors until the
             first event; None if no event is after the start.
         causes: error by property of the settings, largest first; empty for an accurate run.
@@ -129,6 +131,7 @@ class Judgement:
     harmless: tuple[str, ...] = ()
     unjudged_from: float | None = None
     extended_to: float | None = None
+    approximated: tuple[str, ...] = ()
     other: MeasuredError | None = None
 
     @property
@@ -261,6 +264,7 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
         harmless=harmless,
         unjudged_from=compared.unjudged_from,
         extended_to=compared.extended_to,
+        approximated=tuple(simulation.approximated),
         other=other,
     )
 

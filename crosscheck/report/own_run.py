@@ -92,6 +92,8 @@ def _lines(
     yield from allowed_lines(judgement, allowed)
     if judgement.events:
         yield f"  note    {_events_text(judgement)}"
+    if judgement.approximated:
+        yield f"  note    {_approximated_text(judgement.approximated)}"
     if chaos := chaos_text(judgement.scale):
         yield f"  note    {chaos}, and no run with other steps can match"
     if judgement.unjudged_from is not None:
@@ -176,6 +178,14 @@ def unsimulated_text(events: Sequence[Event]) -> str:
     return (
         f"{first.element}{more}: {acts} from {first.time:.3g} s on and the reference does not simulate {it}"
     )
+
+
+def _approximated_text(approximated: Sequence[str]) -> str:
+    """State that the reference has some elements of the file as forces; name the first one."""
+    first, *others = approximated
+    more = f" and {len(others)} more" if others else ""
+    kinds = "forces" if others or first.startswith(LIMITS) else "a force"
+    return f"{first}{more}: {kinds} in the reference, and the difference is a part of the error"
 
 
 def is_plural(event: Event) -> bool:

@@ -58,6 +58,8 @@ BODY_ARRAYS = (("geom_xpos", "geom_xmat"), ("site_xpos", "site_xmat"), ("xipos",
 def report_leftovers(start: ModelAtStart, bodies: Bodies, joints: Joints, report: ImportReport) -> None:
     """Report all elements that the other modules of the reader do not report.
 
+    Limits and dry friction of joints are reported by `mjcf.reading.friction_and_limits`.
+
     Args:
         start: MuJoCo's model and data at the start state.
         bodies: imported bodies.
@@ -74,9 +76,7 @@ def report_leftovers(start: ModelAtStart, bodies: Bodies, joints: Joints, report
         report.imported(
             f"{mesh_count} geoms of meshes", "drawn where visible; their masses are in the bodies"
         )
-    # limits and dry friction of joints and tendons
-    for number in range(model.njnt):
-        _report_joint(start, joints, number, report)
+    # limits and dry friction of tendons
     for tendon in range(model.ntendon):
         element = element_name(model, "tendon", tendon)
         if model.tendon_limited[tendon]:
@@ -179,31 +179,6 @@ def _report_contacts(start: ModelAtStart, poses: Poses, report: ImportReport) ->
     if model.nexclude:
         why = "these pairs of bodies cannot touch; contacts are not simulated anyway"
         report.left_out(f"{model.nexclude} contact exclusions", why, moves_nothing=True)
-
-
-def _report_joint(start: ModelAtStart, joints: Joints, number: int, report: ImportReport) -> None:
-    """Report the limits and the dry friction of MuJoCo's joint `number`, with their watches."""
-    model, element = start.model, element_name(start.model, "joint", number)
-    if model.jnt_limited[number]:
-        low, high = model.jnt_range[number]
-        outside, watches = "", list[Watch]()
-        if number in joints.coordinate_keys:
-            x = float(start.data.qpos[model.jnt_qposadr[number]])
-            outside = "" if low <= x <= high else f"; the start is outside of them, at {x:.4g}"
-            unit = "m" if model.jnt_type[number] == mujoco.mjtJoint.mjJNT_SLIDE else "rad"
-            margin = float(model.jnt_margin[number])
-            # x at the start plus the scene's coordinate, which is zero at the start
-            terms = ((joints.coordinate_keys[number], 1.0),)
-            watches.append(Bounds(terms, low + margin, high - margin, unit, constant=x))
-        why = f"its limits {low:.4g} to {high:.4g}{outside}: limits are one-sided and not simulated"
-        switched_off = start.disabled("LIMIT")
-        report.left_out(element, why, topic=LIMITS, switched_off=switched_off, watches=watches)
-    dof = int(model.jnt_dofadr[number])
-    if friction := float(model.dof_frictionloss[dof]):
-        switched_off = start.disabled("FRICTIONLOSS")
-        why, key = f"its dry friction {friction:g}", joints.coordinate_keys.get(number)
-        resting = [FrictionWatch((key,))] if key else []
-        report.left_out(element, why, topic=FRICTION, switched_off=switched_off, watches=resting)
 
 
 class Poses:

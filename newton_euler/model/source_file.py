@@ -16,15 +16,21 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, TypedDict, TypeGuard
+from typing import Literal, NamedTuple, TypedDict, TypeGuard, get_args
 from xml.parsers import expat
 
 import numpy as np
 
-from newton_euler.errors import NewtonEulerError, check_choices, plain_number, quoted
+from newton_euler.errors import NewtonEulerError, check_choice, check_choices, plain_number, quoted
 from newton_euler.limits import MB, exceeded, limit, size_in_bytes
 from newton_euler.model.scene import REDUNDANCY_TOLERANCE
 from newton_euler.scalars import Array, Floats
+
+FrictionName = Literal["off", "regularized"]
+"""Treatment of dry friction of model files: not simulated, or as `newton_euler.JointFriction`."""
+
+LimitsName = Literal["off", "compliant"]
+"""Treatment of joint limits of model files: not simulated, or as `newton_euler.JointStop`."""
 
 
 class ReadOptions(TypedDict, total=False):
@@ -35,6 +41,8 @@ class ReadOptions(TypedDict, total=False):
     redundancy_tolerance: float
     verified: bool
     excitation: bool
+    friction: FrictionName
+    limits: LimitsName
 
 
 @dataclass(frozen=True)
@@ -50,6 +58,9 @@ class Request:
             file. If False, the caller makes this comparison later; the import report has what it needs.
         excitation: True to drive the actuators by sines and to start joints with small velocities, because a
             model at rest tests little.
+        friction: "regularized" to simulate dry friction of joints by a force that is viscous at low speed;
+            "off" to leave dry friction out.
+        limits: "compliant" to simulate limits of joints by springs with damping; "off" to leave limits out.
     """
 
     duration: float = 1.0
@@ -57,12 +68,17 @@ class Request:
     redundancy_tolerance: float = REDUNDANCY_TOLERANCE
     verified: bool = True
     excitation: bool = False
+    friction: FrictionName = "off"
+    limits: LimitsName = "off"
 
     @classmethod
     def of(cls, options: ReadOptions) -> Request:
         """Complete keyword options with the defaults; raises `UnknownNameError` for an unknown option."""
         check_choices("option", options, ReadOptions.__annotations__)
-        return cls(**options)
+        request = cls(**options)
+        check_choice("friction", request.friction, get_args(FrictionName))
+        check_choice("limits", request.limits, get_args(LimitsName))
+        return request
 
 
 class SourceError(NewtonEulerError):

@@ -186,6 +186,10 @@ class JointStop(CoordinateForce, SwitchedForce):
         return f"{self.side} {super().element}"
 
     @property
+    def where(self) -> str:
+        return f"at the {self.side} limit {super().where}"
+
+    @property
     def identity(self) -> str:
         return f"{self.side} {super().identity}"
 

@@ -31,7 +31,9 @@ from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
+from newton_euler.model.switched_forces import JointFriction
 from newton_euler.reading.activity import Bounds
+from newton_euler.reading.free_motions import free_motions
 from newton_euler.runs.assemble import assemble, initial_state, measured_coordinate
 from newton_euler.scalars import Array
 
@@ -315,7 +317,8 @@ def swings(
 
     A force of amplitude F and angular frequency w moves a mass m by up to F (w T + 1) / (m w^2) in a time T.
     It moves a spring of stiffness k by F / k and a damper of damping d by F / (d w). The mass is that of the
-    whole mechanism as the driven joint feels it: constraints hold, and all other joints may move.
+    whole mechanism as the driven joint feels it: constraints hold, and all other joints may move. The force
+    also overcomes the dry friction of the driven joint.
 
     Args:
         scene: scene at its initial state.
@@ -327,10 +330,7 @@ def swings(
     rooms = {room.key: min(room.down, room.up) for room in _rooms(system, bounds)}
     q, v = system.coordinates(initial_state(scene))
     measured = system.measured(q, v)
-    mass, _ = system.mass_and_force(q, v)
-    free = orthonormal_null(dimensionless_jacobian(system, q), constraint_rank(system))
-    free = system.velocity_units[:, None] * free
-    inertia = free.T @ mass @ free
+    free, inertia = free_motions(system, q, v)
     for number, unit_forces in enumerate(forces):
         # Spread the frequencies evenly, by the fractional parts of multiples of the golden ratio
         golden = 0.5 * (np.sqrt(5.0) - 1.0)
@@ -354,10 +354,12 @@ def swings(
             stiffness, damping, servo = _joint_impedance(scene, key)
             impedance = abs(force) * w**2 / (acceleration * (1.0 + w * scene.duration))
             impedance = servo or impedance + stiffness + damping * w
+            friction = _dry_friction(scene, key)
             swing = _intended_amplitude(scene, key)
             room = (1.0 - START_ROOM_SHARE) * rooms.get(key, np.inf)
-            amplitude = min(amplitude, swing * impedance / abs(force))
-            within = min(within, np.clip(room, MIN_KEPT_SHARE * swing, swing) * impedance / abs(force))
+            swing_within = np.clip(room, MIN_KEPT_SHARE * swing, swing)
+            amplitude = min(amplitude, (swing * impedance + friction) / abs(force))
+            within = min(within, (swing_within * impedance + friction) / abs(force))
         if not np.isfinite(amplitude):
             amplitude = within = 0.0
         yield Swing(float(amplitude), amplitude_within_limits=float(within), angular_frequency=float(w))
@@ -373,6 +375,12 @@ def _joint_impedance(scene: Scene, key: Key) -> tuple[float, float, float]:
     gains = [law for law in laws if isinstance(law, PD | JointSpring)]
     servo = sum(law.stiffness for law in gains if isinstance(law, PD))
     return sum(law.stiffness for law in gains), sum(law.damping for law in gains), max(servo, 0.0)
+
+
+def _dry_friction(scene: Scene, key: Key) -> float:
+    """Return the dry friction of a joint coordinate, N or N m."""
+    elements = (force for force in scene.switched_forces if isinstance(force, JointFriction))
+    return sum(force.coulomb for force in elements if force.key == key)
 
 
 def _intended_amplitude(scene: Scene, key: Key) -> float:

@@ -127,11 +127,14 @@ class FileSimulation(ABC, Generic[SettingsT]):
         scene: the imported scene.
         settings: settings of the file.
         are_assumed: True if the settings are usual ones, since the file has none and the user gives none.
+        approximated: dry friction and limits of the file that the scene has as forces, such as "limits of
+            joint 'knee'". They act in all runs of the file.
         max_evaluations: largest number of evaluations of the equations of motion in a run, with the file's
             time step or a smaller one; lower for an engine whose time loop runs in Python.
     """
 
     are_assumed: bool = False
+    approximated: Sequence[str] = ()
     max_evaluations: float = math.inf
     engine: str
     scene: Scene

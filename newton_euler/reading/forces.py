@@ -23,6 +23,7 @@ from newton_euler.model.forces import Spring
 from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
+from newton_euler.model.switched_forces import SwitchedForce
 from newton_euler.reading.activity import Bounds
 from newton_euler.reading.checks import (
     MIN_SCALE_SHARE,
@@ -47,12 +48,21 @@ each list has one array for each sample."""
 
 
 def force_checks(placed: ScenePlacement) -> Iterator[ReadingCheck]:
-    """Check gravity, springs, dampers and actuators (the `FORCE_KINDS`), armatures, and limited forces."""
+    """Check forces of all `FORCE_KINDS`, armatures, and limited forces.
+
+    Friction and stops are checked if the scene or the file has any.
+    """
     scenes = _split_by_kind(placed.scene)
     found = [_wrenches_by_kind(placed, place, scenes) for place in placed.placements]
-    wanted = [place.sample.forces for place in placed.placements]
-    for kind in range(len(FORCE_KINDS)):
-        yield _force_check(placed, kind, [each[kind] for each in found], [each[kind] for each in wanted])
+    wanted_forces = [place.sample.forces for place in placed.placements]
+    for kind, name in enumerate(FORCE_KINDS):
+        if name == "friction_and_stops" and not (
+            placed.scene.switched_forces or np.any([forces[kind] for forces in wanted_forces])
+        ):
+            continue
+        yield _force_check(
+            placed, kind, [each[kind] for each in found], [each[kind] for each in wanted_forces]
+        )
     yield _armature_check(placed)
     _, velocities = placed.reference.file_state
     if placed.reference.force_limits(placed.reference.start, velocities):  # the file has limits
@@ -146,7 +156,8 @@ def _force_check(
             yield name, [_projected(reference, forces) for forces in ways]
 
     # A difference that no element of the file explains is attributed to a joint
-    quantity, scale = f"{FORCE_KINDS[kind]}, rel", row_scales(reference, scales)
+    quantity = f"{FORCE_KINDS[kind].replace('_', ' ')}, rel"
+    scale = row_scales(reference, scales)
     tolerances = placed.force_tolerances
     return row_check(reference, quantity, differences, scale, tolerances, of_elements, at_joints)
 
@@ -276,21 +287,26 @@ def _best_explanation(differences: Sequence[Array], weights: Sequence[Array], el
     return name
 
 
-def _split_by_kind(scene: Scene) -> tuple[Scene, Scene, Scene]:
-    """Return the scene with its springs alone, with its dampers alone, and with all other forces.
+def _split_by_kind(scene: Scene) -> tuple[Scene, Scene, Scene, Scene]:
+    """Return the scene with its springs, dampers, all other forces, and dry friction and stops alone.
 
     A spring of a scene may have damping; it is then in the first and in the second result.
     """
     with_damping = [force for force in scene.forces if isinstance(force, Spring)]
-    others = tuple(force for force in scene.forces if not isinstance(force, Spring))
+    others = tuple(force for force in scene.forces if not isinstance(force, Spring | SwitchedForce))
     springs = tuple(replace(force, damping=0.0) for force in with_damping if force.stiffness)
     dampers = tuple(replace(force, stiffness=0.0) for force in with_damping if force.damping)
     springs_alone = replace(scene, control=(), forces=springs)
-    return springs_alone, replace(springs_alone, forces=dampers), replace(scene, forces=others)
+    return (
+        springs_alone,
+        replace(springs_alone, forces=dampers),
+        replace(scene, forces=others),
+        replace(springs_alone, forces=scene.switched_forces),
+    )
 
 
 def _wrenches_by_kind(
-    placed: ScenePlacement, place: SamplePlacement, scenes: tuple[Scene, Scene, Scene]
+    placed: ScenePlacement, place: SamplePlacement, scenes: tuple[Scene, Scene, Scene, Scene]
 ) -> list[tuple[Array, Array]]:
     """Compute the scene's wrenches (b, 6) of each of the `FORCE_KINDS`, and the sums of their magnitudes.
 
@@ -300,17 +316,18 @@ def _wrenches_by_kind(
         placed: bodies of the scene at the poses of the file.
         place: the same bodies at one sample: `state` has their velocities, `rest` has the same poses without
             velocities.
-        scenes: the scene with springs, with dampers, and with all other forces.
+        scenes: the scene with one kind of forces each, see `_split_by_kind`.
     """
     weight = np.zeros((len(placed.mechanism.bodies), 6))
     for wrench, body in zip(weight, placed.mechanism.bodies, strict=True):
         wrench[:3] = body.mass * placed.scene.gravity
-    springs, dampers, others = scenes
+    springs, dampers, others, friction_and_stops = scenes
     return [
         (weight, np.abs(weight)),
         _wrenches(springs, place.rest),
         _wrenches(dampers, place.state),
         _wrenches(others, place.state),
+        _wrenches(friction_and_stops, place.state),
     ]
 
 

@@ -1,9 +1,9 @@
 """Import report: how each element of a model file was imported, and likely mistakes in the file.
 
 A reader (of MJCF or URDF files) adds an entry for each element while it turns the file into a `Scene`. The
-*fate* of an element is "exactly" (imported without change), "left out" (not simulated) or "inactive" (not
-simulated, but a run has shown that the element would not have acted). Tests that judge this in a run are
-called *watches*, see `newton_euler.reading.activity`.
+*fate* of an element is "exactly" (imported without change), "approximated" (simulated by a similar force),
+"left out" (not simulated) or "inactive" (not simulated, but a run has shown that the element would not have
+acted). Tests that judge this in a run are called *watches*, see `newton_euler.reading.activity`.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from newton_euler.reading.file_names import FileNames
 from newton_euler.reading.file_run import FileSimulation
 from newton_euler.reading.reference import ReferenceModel
 
-Fate = Literal["exactly", "inactive", "left out"]
+Fate = Literal["exactly", "approximated", "inactive", "left out"]
 
-FATES: tuple[Fate, ...] = ("exactly", "inactive", "left out")
+FATES: tuple[Fate, ...] = ("exactly", "approximated", "inactive", "left out")
 """All fates, from the best to the worst."""
 
 CONTACTS, LIMITS, VELOCITY_LIMITS, FRICTION = "contacts", "limits", "limit of velocity", "dry friction"
@@ -42,8 +42,8 @@ class ImportedElement:
 
     Attributes:
         element: kind and name, such as "equality 'close'".
-        fate: "exactly" if imported exactly; "left out" if not simulated; "inactive" if not simulated and a
-            run has shown that the element would not have acted.
+        fate: "exactly" if imported exactly; "approximated" if a similar force is simulated; "left out" if not
+            simulated; "inactive" if not simulated and a run has shown that the element would not have acted.
         how: the element's counterpart in the scene, or the reason why the element is left out.
         became: kind of the counterpart in the scene: `CONTROL`, `FORCE`, `ROTOR`, or "" for anything else.
         topic: the property of the element that the entry is about, such as "limits"; "" for all properties.
@@ -139,6 +139,8 @@ class ImportReport:
             `newton_euler.reading.verify`. The first pair has the scene that the reader returns; other scenes
             are read only for verification.
         watches: tests that find out whether the element of an entry acts in a run, by index of the entry.
+        approximated_limits: limits of joint coordinates that the scene has as stops. Excitation respects them
+            like the limits that are not simulated.
         unsettled: indices of the entries that only a run with more outputs can judge.
         simulation: simulation of the file in its own engine, with its own or usual settings; None before the
             reader has one.
@@ -153,6 +155,7 @@ class ImportReport:
         self.start: list[str] = []
         self.references: list[tuple[ReferenceModel, Scene]] = []
         self.watches: dict[int, Sequence[Watch]] = {}
+        self.approximated_limits: list[Bounds] = []
         self.unsettled: frozenset[int] = frozenset()
         self.simulation: FileSimulation[Any] | None = None
         self.moved: MovedStart | None = None
@@ -178,6 +181,16 @@ class ImportReport:
             moves_nothing: True if the element moves nothing as the file has it, such as an idle motor.
         """
         self.entries.append(ImportedElement(element, "exactly", how, became, moves_nothing=moves_nothing))
+
+    def approximated(self, element: str, how: str, topic: str, limits: Sequence[Bounds] = ()) -> None:
+        """Add one topic of an element, such as its dry friction, that a similar force approximates.
+
+        Args:
+            element, how, topic: see `ImportedElement`.
+            limits: limits of joint coordinates that stops approximate.
+        """
+        self.entries.append(ImportedElement(element, "approximated", how, topic=topic))
+        self.approximated_limits.extend(limits)
 
     def left_out(
         self,
@@ -219,8 +232,14 @@ class ImportReport:
 
     @property
     def bounds(self) -> list[Bounds]:
-        """All limits of joint coordinates and forces for which a run is tested."""
-        return [each for watches in self.watches.values() for each in watches if isinstance(each, Bounds)]
+        """All limits of joint coordinates and forces for which a run is tested, or which are stops."""
+        tested = [each for watches in self.watches.values() for each in watches if isinstance(each, Bounds)]
+        return tested + self.approximated_limits
+
+    @property
+    def approximated_topics(self) -> frozenset[tuple[str, str]]:
+        """Element and topic of each entry that is approximated."""
+        return frozenset((entry.element, entry.topic) for entry in self.of("approximated"))
 
     def unsimulated(self) -> list[ImportedElement]:
         """Return the entries of elements that acted or can act, and are not simulated."""
@@ -277,13 +296,13 @@ class ImportReport:
         return [entry for entry in self.entries if entry.fate == fate]
 
     def counts(self) -> str:
-        """Describe how many elements are inactive, left out, or switched off.
+        """Describe how many elements are approximated, inactive, left out, or switched off.
 
         Elements that move nothing are not counted. Each element counts once, with its worst fate. The kinds
         of `ALWAYS_ACTING` are counted separately, because a model without them moves differently from the
         start. The text is "" if there is nothing to count.
         """
-        # The worst fate of each element: "left out" replaces "inactive"
+        # The worst fate of each element: "left out" replaces "inactive", which replaces "approximated"
         worst: dict[str, Fate] = {}
         for fate in FATES[1:]:
             worst.update((entry.element, fate) for entry in self.of(fate) if not entry.moves_nothing)
@@ -311,7 +330,7 @@ def topics_not_simulated(report: ImportReport) -> dict[str, set[str]]:
     """Return the topics that are left out or inactive, by element; elements that move nothing are absent."""
     found: dict[str, set[str]] = {}
     for entry in report.entries:
-        if entry.fate != "exactly" and not entry.moves_nothing:
+        if entry.fate not in ("exactly", "approximated") and not entry.moves_nothing:
             found.setdefault(entry.element, set()).add(entry.topic)
     return found
 

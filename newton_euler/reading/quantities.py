@@ -81,11 +81,13 @@ class Forces(NamedTuple):
     dampers: Array
     actuators: Array
     """Actuators and all other forces, such as gravity compensation."""
+    friction_and_stops: Array
+    """Dry friction and limits that the scene has as regularized friction and as stops."""
     bias: Array
     """Velocity-dependent inertia terms, on the left side of the equations of motion."""
 
 
-FORCE_KINDS = Forces._fields[:4]
+FORCE_KINDS = Forces._fields[:5]
 """Kinds of forces (all but the bias) that are compared separately, so that errors of small forces show."""
 
 
