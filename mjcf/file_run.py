@@ -377,6 +377,10 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         times = np.array([now for now, _, _, _ in states])
         with_controls = [(q, v, activation, self._inputs.at(now)) for now, q, v, activation in states]
         model, active = self._prepared(reduced=True)
+        if self.approximated:  # small motions are those without dry friction and limits
+            model = copy.copy(model)
+            for name in UNSIMULATED_FEATURES:
+                model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
         return MujocoSmallMotions(self.settings, model, active, times, with_controls)
 
     def changed(self, change: Callable[[Any], None]) -> MujocoFile:

@@ -9,7 +9,7 @@
 - PD laws are `<position>` actuators. If a PD law depends on time or compensates gravity, the actuator is
   `<general>`, and its control is the part of the force that is not linear feedback. All other control laws
   are `<motor>` elements whose control is the force. `mjcf.soft` sets the controls during a run.
-- Springs, wrenches and wind: see `mjcf.forces`.
+- Springs, wrenches and wind: see `mjcf.forces`. Dry friction and stops: see `mjcf.write_friction`.
 
 The keyframe `start` has the initial state and the initial controls. After loading this keyframe, MuJoCo's
 viewer runs the scene.
@@ -20,6 +20,7 @@ from __future__ import annotations
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import assert_never
 
 import numpy as np
@@ -38,6 +39,7 @@ from mjcf.forces import (
     wrenches,
 )
 from mjcf.layout import Layout, number, numbers
+from mjcf.write_friction import constraint_attributes
 from newton_euler.arguments import checked
 from newton_euler.equations.coupling_equations import TreeCouplings
 from newton_euler.equations.couplings import Coupling, couplings
@@ -130,15 +132,36 @@ def to_xml(scene: Scene) -> str:
     # bodies that have no joint between them; loaded: joints whose ball has a spring, damper or armature,
     # which an equality could not have
     welded = weld_loops(scene.mechanism, keep_bodies=True, loaded=scene.loaded_balls)
-    return welded_to_xml(scene, welded)
+    document = welded_to_xml(scene, welded)
+    if not scene.switched_forces:
+        return document
+    try:
+        return welded_to_xml(scene, welded, constraint_attributes(scene, document))
+    except ValueError as error:
+        raise ModelError(scene.name, " ".join(str(error).split())) from error
 
 
-def welded_to_xml(scene: Scene, welded: WeldedMechanism) -> str:
+def welded_to_xml(
+    scene: Scene,
+    welded: WeldedMechanism,
+    friction_and_limits: Mapping[str, Mapping[str, str]] = MappingProxyType({}),
+) -> str:
     """Return the MJCF document of a scene for its welded mechanism, as `weld_loops` makes it.
 
+    Dry friction and stops are no part of the document unless their attributes are given: for `mjcf.model`,
+    MuJoCo gets them as forces.
+
     In the welded mechanism, only balls, rods and welds close loops: at other joints that close a loop, a body
-    is cut into halves, which a weld joins. The halves follow the bodies of the scene. Raises `ModelError` for
-    a mechanism that MJCF cannot represent.
+    is cut into halves, which a weld joins. The halves follow the bodies of the scene.
+
+    Args:
+        scene: the scene.
+        welded: welded mechanism.
+        friction_and_limits: attributes of dry friction and limits, by name of MuJoCo's joint, see
+            `mjcf.write_friction`.
+
+    Raises:
+        ModelError: for a mechanism that MJCF cannot represent.
     """
     for body in welded.mechanism.bodies[1:]:
         if body.name == "world":
@@ -154,7 +177,7 @@ def welded_to_xml(scene: Scene, welded: WeldedMechanism) -> str:
     root = ET.Element("mujoco", model=scene.name)
     _add_settings(root, scene)
     layout = Layout(welded.tree)
-    _add_world(root, scene, welded, layout)
+    _add_world(root, scene, welded, layout, friction_and_limits)
     _add_tendons(root, scene, welded)
     _add_equalities(root, scene, welded)
     _add_actuators(root, scene)
@@ -197,7 +220,13 @@ def _add_camera(root: ET.Element, scene: Scene) -> None:
     ET.SubElement(visual, "global", azimuth="135", elevation="-20")
 
 
-def _add_world(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layout) -> None:
+def _add_world(
+    root: ET.Element,
+    scene: Scene,
+    welded: WeldedMechanism,
+    layout: Layout,
+    friction_and_limits: Mapping[str, Mapping[str, str]],
+) -> None:
     """Add the tree of bodies with their shapes, and the sites to which forces and rods are attached."""
     _add_camera(root, scene)
     world = ET.SubElement(root, "worldbody")
@@ -206,6 +235,8 @@ def _add_world(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: 
         add_geom(world, shape, GROUND_COLOR, world_pose, np.array([1.0, 0.0, 0.0, 0.0]))
     elements = {0: world}  # XML element by number of the body
     force_attributes = joint_attributes(scene)
+    for name, attributes in friction_and_limits.items():
+        force_attributes[name] = {**force_attributes.get(name, {}), **attributes}
     for tree_joint in layout.order:  # depth first, as MuJoCo numbers bodies
         element = _add_body(elements[tree_joint.parent], tree_joint, welded, force_attributes)
         elements[tree_joint.child] = element
@@ -235,7 +266,7 @@ def _add_body(
         tree_joint: joint of the spanning tree between parent and body. MuJoCo has a joint for each of its
             elementary motions (hinge, slide, ball). `forward` is True if the body is the joint's second one.
         welded: welded mechanism.
-        force_attributes: attributes of springs and armatures, by name of MuJoCo's joint.
+        force_attributes: attributes of springs, armatures, friction and limits, by name of MuJoCo's joint.
     """
     mechanism = welded.mechanism
     body, parent = mechanism.bodies[tree_joint.child], mechanism.bodies[tree_joint.parent]

@@ -257,8 +257,8 @@ class ModelReference(PinocchioReference):
                 self._friction[index] = max(abs(x) for x in (*dry, model.friction[index]))
             if joint.nv == joint.nq == 1:
                 low, high = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
-                if max(abs(low), abs(high)) < MAX_LIMIT:
-                    self._low[index], self._high[index] = low, high
+                self._low[index] = low if abs(low) < MAX_LIMIT else -np.inf
+                self._high[index] = high if abs(high) < MAX_LIMIT else np.inf
         # elements that the report does not mention
         mentioned = {entry.element for entry in report.entries}
         elements = [*(f"joint {name!r}" for name in joint_names[1:]), *(each.element for each in closures)]

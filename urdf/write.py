@@ -3,7 +3,8 @@
 The frame of a link has its origin at the joint to its parent, and is parallel to the world at the initial
 pose. Therefore every rpy of joints and inertials is zero, no number is converted through an angle, and joint
 coordinates are those of newton_euler's spanning tree. A joint of several motions becomes a chain of hinges
-and slides through massless links. Joints have no limits.
+and slides through massless links. Joints have the limits of stops, without stiffness, and the Coulomb
+friction of dry friction.
 
 A URDF can describe neither closed loops nor ball joints. The loop file names frames that coincide and joints
 that are balls. Its keys are those of Gepetto's example-parallel-robots
@@ -20,7 +21,7 @@ import os
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, assert_never
+from typing import Any, NamedTuple, assert_never
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
@@ -42,6 +43,7 @@ from newton_euler.model.spanning_tree import (
     motion_names,
     weld_loops,
 )
+from newton_euler.model.switched_forces import JointFriction, JointStop
 from newton_euler.model.written_file import atomic_file
 from newton_euler.scalars import Array
 from urdf.errors import NameClashError, UrdfError
@@ -75,8 +77,9 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
 
     Links have the names of bodies, joints the names of joints. The parts of a joint with several motions are
     `<joint>_1`, `<joint>_2`, ... from the first body to the second. Balls are revolute joints that the loop
-    file replaces. The text includes the damping of joint springs, which Pinocchio stores and does not use.
-    The text does not include gravity, control, other forces, prescribed motions and the initial state.
+    file replaces. The text includes the damping of joint springs, Coulomb friction and the limits of stops,
+    which Pinocchio stores and does not use. The text does not include gravity, control, other forces,
+    prescribed motions and the initial state.
 
     Args:
         scene: scene with the mechanism.
@@ -113,13 +116,9 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
             for shape in scene.mechanism.shapes(index):
                 add_visual(link, shape, origins[index], color(index))
     # joints, and links of loop closures
-    dampings = defaultdict[str, float](float)
-    for force in scene.forces:
-        if isinstance(force, JointSpring) and force.damping:
-            joint = scene.mechanism.joint(force.joint)
-            dampings[coordinate_name(joint, force.coordinate)] += force.damping
+    properties = _coordinate_properties(scene)
     for tree_joint in tree.joints:
-        _add_chain(robot, welded, tree_joint, origins, dampings)
+        _add_chain(robot, welded, tree_joint, origins, properties)
     for ends in closures(welded):
         for frame, number, point in ends:
             SubElement(robot, "link", name=frame)
@@ -236,12 +235,37 @@ def _add_inertial(link: Element, body: Body, center: Array, rotation: Array) -> 
     SubElement(inertial, "inertia", {name: repr(value + 0.0) for name, value in entries})
 
 
+class CoordinateProperties(NamedTuple):
+    """Damping, N s/m or N m s/rad, Coulomb friction, N or N m, and limits, m or rad, of a coordinate."""
+
+    damping: float = 0.0
+    friction: float = 0.0
+    low: float = -NO_LIMIT
+    high: float = NO_LIMIT
+
+
+def _coordinate_properties(scene: Scene) -> dict[str, CoordinateProperties]:
+    """Return the properties of joint coordinates by name of the URDF joint."""
+    found = defaultdict[str, CoordinateProperties](CoordinateProperties)
+    for force in scene.forces:
+        if isinstance(force, JointSpring | JointFriction | JointStop):
+            name = coordinate_name(scene.mechanism.joint(force.joint), force.coordinate)
+            known = found[name]
+            if isinstance(force, JointSpring):
+                found[name] = known._replace(damping=known.damping + force.damping)
+            elif isinstance(force, JointFriction):
+                found[name] = known._replace(friction=force.coulomb)
+            else:
+                found[name] = known._replace(**{force.side: force.limit})
+    return found
+
+
 def _add_chain(
     robot: Element,
     welded: WeldedMechanism,
     tree_joint: TreeJoint,
     origins: list[Array],
-    dampings: Mapping[str, float],
+    properties: Mapping[str, CoordinateProperties],
 ) -> None:
     """Add a joint of the tree as a chain of URDF joints from parent to child, one for each motion.
 
@@ -250,7 +274,7 @@ def _add_chain(
         welded: welded mechanism.
         tree_joint: joint of the spanning tree.
         origins: (3,) origin of the link of each body at the initial pose, m, world frame.
-        dampings: damping, N m s/rad or N s/m, by name of the URDF joint.
+        properties: friction, damping and limits by name of the URDF joint.
     """
     names, joint = welded.mechanism.body_names, welded.tree.joint(tree_joint.joint)
     parent, child = names[tree_joint.parent], names[tree_joint.child]
@@ -266,11 +290,13 @@ def _add_chain(
         kind = "prismatic" if motion.kind == "slide" else "revolute"
         element = _add_joint(robot, kind, name, parent, link, point - origin)
         SubElement(element, "axis", xyz=numbers(_axis(motion)))
-        # URDF requires limits, and scenes have none
-        limit = repr(NO_LIMIT)
-        SubElement(element, "limit", lower=f"-{limit}", upper=limit, effort=limit, velocity=limit)
-        if name in dampings:
-            SubElement(element, "dynamics", damping=repr(dampings[name]))
+        # URDF requires all limits; most scenes have none
+        limit, of_joint = repr(NO_LIMIT), properties.get(name, CoordinateProperties())
+        low, high = repr(of_joint.low), repr(of_joint.high)
+        SubElement(element, "limit", lower=low, upper=high, effort=limit, velocity=limit)
+        dynamics = {"damping": of_joint.damping, "friction": of_joint.friction}
+        if attributes := {key: repr(value) for key, value in dynamics.items() if value}:
+            SubElement(element, "dynamics", attributes)
         parent, origin = link, point
 
 

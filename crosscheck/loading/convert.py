@@ -11,10 +11,11 @@ from pathlib import Path
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.control import PD
 from newton_euler.model.forces import JointSpring
+from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
-from newton_euler.model.switched_forces import SwitchedForce
+from newton_euler.model.switched_forces import JointFriction, JointStop, SwitchedForce
 from newton_euler.model.wind import WindLoad
-from newton_euler.reading.import_report import CONTROL, FORCE, ROTOR, ImportReport
+from newton_euler.reading.import_report import CONTROL, FORCE, FRICTION, LIMITS, ROTOR, ImportReport
 from urdf.write import loops_path
 
 SCENE_SUFFIXES = (".yaml", ".yml", ".json")
@@ -86,8 +87,19 @@ def _leave_out_of_mjcf(scene: Scene, report: ImportReport) -> None:
     for force in scene.forces:
         if isinstance(force, WindLoad):
             report.left_out(force.element, "MJCF has none; motors hold that of the start")
-        elif isinstance(force, SwitchedForce):
-            report.left_out(force.element, "MJCF has dry friction and limits as constraints only")
+    _approximate(
+        scene,
+        report,
+        friction="frictionloss, with the creep of the scene by solreffriction",
+        stop="range, with the stiffness of the scene by solreflimit, and its damping at 1 mm or 1 mrad",
+    )
+    for key, sides in _stops_by_coordinate(scene).items():
+        if len({(stop.stiffness, stop.dissipation) for stop in sides}) > 1:
+            stiffest = max(sides, key=lambda stop: stop.stiffness)
+            for stop in sides:
+                if stop is not stiffest:
+                    why = f"its stiffness: joint {key[0]!r} has one for both limits, that of the stiffer stop"
+                    report.left_out(stop.element, why, topic="stiffness")
     report.left_out("duration and outputs", "an MJCF has none")
 
 
@@ -98,9 +110,13 @@ def _leave_out_of_urdf(scene: Scene, report: ImportReport) -> None:
         force.element
         for force in scene.forces
         if not (isinstance(force, JointSpring) and force.stiffness == 0.0)  # a pure damper
+        and not isinstance(force, SwitchedForce)
     ]
-    why = "a URDF has no forces but damping along hinges and slides, which is written"
+    why = "a URDF has no forces but friction, limits and damping of hinges and slides, which are written"
     _leave_out_kind(report, FORCE, why, forces)
+    _approximate(
+        scene, report, friction="friction, which is ideal", stop="limit, without stiffness and damping"
+    )
     # rotor inertias of several elements of a file add up at one joint coordinate: report the scene's sums
     report.entries = [entry for entry in report.entries if entry.became != ROTOR]
     for armature in scene.armatures:
@@ -108,6 +124,34 @@ def _leave_out_of_urdf(scene: Scene, report: ImportReport) -> None:
     for motion in scene.motions:
         report.left_out(f"motion of joint {motion.joint!r}", "a URDF has none")
     report.left_out("gravity, initial state, duration and outputs", "a URDF has none")
+
+
+def _approximate(scene: Scene, report: ImportReport, friction: str, stop: str) -> None:
+    """Add to the report the dry friction and the stops of a scene, which the format has in another form.
+
+    Args:
+        scene: the scene.
+        report: import report to change.
+        friction: attribute of the format that dry friction becomes, and its properties.
+        stop: the same for a stop.
+    """
+    for force in scene.switched_forces:
+        if isinstance(force, JointFriction):
+            report.approximated(force.element, f"as {friction}", FRICTION)
+            if force.stribeck:
+                why = f"its Stribeck friction {force.stribeck:g}: the format has Coulomb friction alone"
+                report.left_out(force.element, why, topic="Stribeck friction")
+        else:
+            report.approximated(force.element, f"as {stop}", LIMITS)
+
+
+def _stops_by_coordinate(scene: Scene) -> dict[Key, list[JointStop]]:
+    """Return the stops of a scene by joint coordinate."""
+    found: dict[Key, list[JointStop]] = {}
+    for force in scene.switched_forces:
+        if isinstance(force, JointStop):
+            found.setdefault(force.key, []).append(force)
+    return found
 
 
 def _leave_out_kind(report: ImportReport, became: str, why: str, elements: list[str]) -> None:

@@ -29,6 +29,9 @@ from newton_euler.reading.file_run import Event
 from newton_euler.reading.import_report import CONTACTS, LIMITS
 from newton_euler.reading.small_motions import MovingBody
 
+OF_APPROXIMATIONS = "unexplained, or that of friction and limits as forces"
+"""Cause of most of an error, if the reference has dry friction or limits of the file as forces."""
+
 OWN_MOTION = "without that: --set excitation=off"
 """Option that judges the motion without the inputs and initial velocities that crosscheck adds."""
 
@@ -251,7 +254,7 @@ def _causes(judgement: Judgement) -> list[str]:
     small = [name for name in errors if name not in large] + [*judgement.harmless]
     words = [f"{each.name}: {size(each.error, by_position)}" for each in listed]
     if (listed or small) and not judgement.is_explained:
-        words.append("most of the error is unexplained")
+        words.append(f"most of the error is {OF_APPROXIMATIONS if judgement.approximated else 'unexplained'}")
     return words + ([f"little or nothing: {', '.join(small)}"] if small else [])
 
 

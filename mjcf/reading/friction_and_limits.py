@@ -31,6 +31,7 @@ from newton_euler.model.source_file import Request
 from newton_euler.model.switched_forces import SwitchedElement
 from newton_euler.reading.activity import Bounds, FrictionWatch
 from newton_euler.reading.approximations import (
+    DAMPED_DEPTH,
     DEFAULT_SOFTNESS,
     JointInFile,
     Softness,
@@ -39,9 +40,6 @@ from newton_euler.reading.approximations import (
 )
 from newton_euler.reading.import_report import FRICTION, LIMITS, ImportReport
 from newton_euler.scalars import Array
-
-DAMPED_DEPTH = 1e-3
-"""Depth, m or rad, at which the damping of a stop is that of MuJoCo's limit."""
 
 MIN_IMPEDANCE, MAX_IMPEDANCE = 1e-4, 0.9999
 """Range of MuJoCo's impedances d."""

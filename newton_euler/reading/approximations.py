@@ -36,6 +36,9 @@ NO_LIMIT = 1e9
 `mjcf.write` writes this number for a missing one."""
 
 
+DAMPED_DEPTH = 1e-3
+"""Depth, m or rad, at which the damping of a stop is that of MuJoCo's limit."""
+
 HELD_MOTION = 1e-9
 """Part of a joint's motion that constraints leave, as a fraction of the motion without constraints, that is
 round-off: the constraints hold the joint."""

@@ -21,9 +21,9 @@ from newton_euler.reading.file_names import FileNames
 from newton_euler.reading.file_run import FileSimulation
 from newton_euler.reading.reference import ReferenceModel
 
-Fate = Literal["exactly", "approximated", "inactive", "left out"]
+Fate = Literal["exactly", "inactive", "approximated", "left out"]
 
-FATES: tuple[Fate, ...] = ("exactly", "approximated", "inactive", "left out")
+FATES: tuple[Fate, ...] = ("exactly", "inactive", "approximated", "left out")
 """All fates, from the best to the worst."""
 
 CONTACTS, LIMITS, VELOCITY_LIMITS, FRICTION = "contacts", "limits", "limit of velocity", "dry friction"
@@ -302,7 +302,7 @@ class ImportReport:
         of `ALWAYS_ACTING` are counted separately, because a model without them moves differently from the
         start. The text is "" if there is nothing to count.
         """
-        # The worst fate of each element: "left out" replaces "inactive", which replaces "approximated"
+        # The worst fate of each element: "left out" replaces "approximated", which replaces "inactive"
         worst: dict[str, Fate] = {}
         for fate in FATES[1:]:
             worst.update((entry.element, fate) for entry in self.of(fate) if not entry.moves_nothing)

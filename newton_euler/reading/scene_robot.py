@@ -8,6 +8,7 @@ centers of mass. The pose of the file is the initial pose, where all joint coord
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
@@ -40,6 +41,7 @@ from newton_euler.model.spanning_tree import (
     motion_names,
     weld_loops,
 )
+from newton_euler.model.switched_forces import JointFriction, SwitchedForce
 from newton_euler.reading.robot import (
     IN_PLACE,
     FileBody,
@@ -168,8 +170,19 @@ class _Description:
             )
 
     def _coordinate_numbers(self, joint: str, coordinate: int) -> dict[str, Any]:
-        """Return spring, damper and rotor of a joint coordinate, by names of `FileJoint`."""
+        """Return the numbers of a joint coordinate, such as the stiffness, by names of `FileJoint`."""
         numbers: dict[str, Any] = {}
+        low, high = -math.inf, math.inf
+        for force in self._scene.switched_forces:
+            if force.key == (joint, coordinate):
+                if isinstance(force, JointFriction):
+                    numbers["friction"] = float(force.coulomb)
+                elif force.side == "low":
+                    low = float(force.limit)
+                else:
+                    high = float(force.limit)
+        if (low, high) != (-math.inf, math.inf):
+            numbers["limits"] = (low, high)
         for element in (*self._scene.forces, *self._scene.armatures):
             if isinstance(element, JointSpring | Armature) and (
                 (element.joint, element.coordinate) == (joint, coordinate)
@@ -278,9 +291,13 @@ class _Description:
         kinds = Counter(
             type(force).__name__
             for force in self._scene.forces
-            if not isinstance(force, JointSpring | BallSpring | PointSpring)
+            if not isinstance(force, JointSpring | BallSpring | PointSpring | SwitchedForce)
         )
         self.notes.extend(f"{count} forces of type {kind} are not described" for kind, count in kinds.items())
+        if self._scene.switched_forces:
+            self.notes.append(
+                "of dry friction the Coulomb friction is described, of stops the limit, and no other numbers"
+            )
         if self._scene.motions:
             self.notes.append("prescribed motions are not described")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import elements
@@ -18,6 +19,7 @@ from newton_euler.model.control import PD
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint_kinds import Prismatic
 from newton_euler.model.scene import Scene
+from newton_euler.model.switched_forces import JointFriction, JointStop
 from newton_euler.reading.robot import JointKind, LoopKind
 from newton_euler.reading.scene_robot import describe
 
@@ -112,19 +114,26 @@ def test_joints_and_drives_have_the_numbers_of_the_scene() -> None:
         mechanism=mechanism.__class__(
             mechanism.bodies, [replace(mechanism.joints[0], actuated=True)], mechanism.couplings
         ),
-        forces=[JointSpring(name, 8.0, 0.25, rest=0.2)],
+        forces=[
+            JointSpring(name, 8.0, 0.25, rest=0.2),
+            JointFriction(name, 0.5, stribeck=0.1),
+            JointStop(name, "high", 0.75, 1e4),
+        ],
         armatures=[Armature(name, 0.125)],
         control=[PD(name, 30.0, 4.0, target=0.1, feedforward=1.5)],
     )
     found = describe(scene)
     (joint,) = found.robot.bodies[0].joints
     assert (joint.stiffness, joint.damping, joint.rest, joint.armature) == (8.0, 0.25, 0.2, 0.125)
+    assert (joint.friction, joint.limits) == (0.5, (-math.inf, 0.75))
     (drive,) = found.robot.drives
     assert (dict(drive.gears), drive.gain, drive.stiffness) == ({name: 1.0}, 30.0, -30.0)
     assert (drive.damping, drive.constant) == (-4.0, 1.5)
     assert found.robot.gravity is not None
     assert found.robot.gravity.tolist() == list(scene.gravity)
-    assert (found.format, found.variants, found.notes) == ("scene file", (), ())
+    assert (found.format, found.variants) == ("scene file", ())
+    (note,) = found.notes  # softness of friction and stops
+    assert "friction" in note
 
 
 def test_couplings_have_the_polynomials_of_the_scene() -> None:

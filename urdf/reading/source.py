@@ -50,7 +50,7 @@ class JointLimits(NamedTuple):
     """Limits of a joint.
 
     Attributes:
-        low, high: smallest and largest coordinate, m or rad.
+        low, high: smallest and largest coordinate, m or rad; one may be infinite.
         speed: largest rate, m/s or rad/s; may be infinite.
     """
 
@@ -65,14 +65,14 @@ def finite_or_infinite(limit: float) -> float:
 
 
 def joint_limits(low: float, high: float, speed: float) -> JointLimits | None:
-    """Return the limits of a joint; None for a coordinate without limits.
+    """Return the limits of a joint, one of them infinite or none; None for a coordinate without limits.
 
     Args:
         low, high: smallest and largest coordinate in the model, m or rad.
         speed: largest rate in the model, m/s or rad/s.
     """
     limits = JointLimits(*map(finite_or_infinite, (low, high, speed)))
-    return limits if math.isfinite(limits.low) and math.isfinite(limits.high) else None
+    return limits if math.isfinite(limits.low) or math.isfinite(limits.high) else None
 
 
 class JointProperties(NamedTuple):
