@@ -39,7 +39,6 @@ from mjcf.forces import (
     wrenches,
 )
 from mjcf.layout import Layout, number, numbers
-from mjcf.write_friction import constraint_attributes
 from newton_euler.arguments import checked
 from newton_euler.equations.coupling_equations import TreeCouplings
 from newton_euler.equations.couplings import Coupling, couplings
@@ -135,6 +134,8 @@ def to_xml(scene: Scene) -> str:
     document = welded_to_xml(scene, welded)
     if not scene.switched_forces:
         return document
+    from mjcf.write_friction import constraint_attributes  # imports MuJoCo, which other scenes do not need
+
     try:
         return welded_to_xml(scene, welded, constraint_attributes(scene, document))
     except ValueError as error:

@@ -57,7 +57,7 @@ def test_convert_files_each_element_once(capsys, tmp_path):
     for words in ("armature", "spring", "control law", "wrench"):
         assert words not in carried
     assert "  joint 'pivot': revolute joint 'pivot'" in carried
-    assert "its stiffness 2 and damping 0.1 as a spring: a URDF has no forces but damping" in left
+    assert "its stiffness 2 and damping 0.1 as a spring: a URDF has no forces but friction" in left
     assert "  armature of joint 'pivot': a URDF has no rotors" in left
     for name in ("drive", "hold"):
         assert left.count(f"actuator '{name}'") == 1
