@@ -40,6 +40,8 @@ def constraint_attributes(scene: Scene, document: str) -> dict[str, dict[str, st
     attributes: dict[str, dict[str, str]] = {}
     stops: dict[str, list[JointStop]] = {}
     for force in scene.switched_forces:
+        if not isinstance(force, JointFriction | JointStop):  # elastic gears have no attributes
+            continue
         name = coordinate_name(scene.mechanism.joint(force.joint), force.coordinate)
         inverse_inertia = float(model.dof_invweight0[model.joint(name).dofadr[0]])
         of_joint = attributes.setdefault(name, {})

@@ -13,7 +13,7 @@ from newton_euler.model.control import PD
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
-from newton_euler.model.switched_forces import JointFriction, JointStop, SwitchedForce
+from newton_euler.model.switched_forces import ElasticGear, JointFriction, JointStop
 from newton_euler.model.wind import WindLoad
 from newton_euler.reading.import_report import CONTROL, FORCE, FRICTION, LIMITS, ROTOR, ImportReport
 from urdf.write import loops_path
@@ -100,6 +100,9 @@ def _leave_out_of_mjcf(scene: Scene, report: ImportReport) -> None:
                 if stop is not stiffest:
                     why = f"its stiffness: joint {key[0]!r} has one for both limits, that of the stiffer stop"
                     report.left_out(stop.element, why, topic="stiffness")
+    for force in scene.switched_forces:
+        if isinstance(force, ElasticGear):
+            report.left_out(force.element, "MJCF has no stiffness and no play of couplings")
     report.left_out("duration and outputs", "an MJCF has none")
 
 
@@ -110,7 +113,7 @@ def _leave_out_of_urdf(scene: Scene, report: ImportReport) -> None:
         force.element
         for force in scene.forces
         if not (isinstance(force, JointSpring) and force.stiffness == 0.0)  # a pure damper
-        and not isinstance(force, SwitchedForce)
+        and not isinstance(force, JointFriction | JointStop)
     ]
     why = "a URDF has no forces but friction, limits and damping of hinges and slides, which are written"
     _leave_out_kind(report, FORCE, why, forces)
@@ -136,6 +139,8 @@ def _approximate(scene: Scene, report: ImportReport, friction: str, stop: str) -
         stop: the same for a stop.
     """
     for force in scene.switched_forces:
+        if isinstance(force, ElasticGear):
+            continue
         if isinstance(force, JointFriction):
             report.approximated(force.element, f"as {friction}", FRICTION)
             if force.stribeck:

@@ -41,7 +41,7 @@ from newton_euler.model.spanning_tree import (
     motion_names,
     weld_loops,
 )
-from newton_euler.model.switched_forces import JointFriction, SwitchedForce
+from newton_euler.model.switched_forces import JointFriction, JointStop
 from newton_euler.reading.robot import (
     IN_PLACE,
     FileBody,
@@ -174,7 +174,7 @@ class _Description:
         numbers: dict[str, Any] = {}
         low, high = -math.inf, math.inf
         for force in self._scene.switched_forces:
-            if force.key == (joint, coordinate):
+            if isinstance(force, JointFriction | JointStop) and force.key == (joint, coordinate):
                 if isinstance(force, JointFriction):
                     numbers["friction"] = float(force.coulomb)
                 elif force.side == "low":
@@ -291,10 +291,10 @@ class _Description:
         kinds = Counter(
             type(force).__name__
             for force in self._scene.forces
-            if not isinstance(force, JointSpring | BallSpring | PointSpring | SwitchedForce)
+            if not isinstance(force, JointSpring | BallSpring | PointSpring | JointFriction | JointStop)
         )
         self.notes.extend(f"{count} forces of type {kind} are not described" for kind, count in kinds.items())
-        if self._scene.switched_forces:
+        if any(isinstance(force, JointFriction | JointStop) for force in self._scene.forces):
             self.notes.append(
                 "of dry friction the Coulomb friction is described, of stops the limit, and no other numbers"
             )
