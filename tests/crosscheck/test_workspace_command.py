@@ -42,7 +42,7 @@ def test_workspace_prints_a_table_and_writes_a_picture_and_rows(capsys, tmp_path
     status, out, _ = run(capsys, *arguments)
     assert status == 0
     assert "reachable" in out
-    assert "without collision" in out
+    assert json.loads((tmp_path / "workspace.json").read_text())["without_collision"] == 35
     assert (tmp_path / "workspace.png").read_bytes().startswith(b"\x89PNG")
     rows = list(csv.DictReader((tmp_path / "workspace.csv").open()))
     assert f"{len(rows)} of 35" in out
