@@ -28,6 +28,7 @@ from newton_euler.errors import (
 )
 from newton_euler.model.armatures import Armature, BallArmature
 from newton_euler.model.control import sensed
+from newton_euler.model.couplings import Gear
 from newton_euler.model.description import ArrayField, TupleField, description
 from newton_euler.model.digital_control import Digital, HeldLaw, Law, Sampled
 from newton_euler.model.elements import OnBall, check_elements
@@ -39,7 +40,7 @@ from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism
 from newton_euler.model.motions import PrescribedMotion, TimeFunction, terms
 from newton_euler.model.splines import TIME_ROUND_OFF, Spline
 from newton_euler.model.state import State
-from newton_euler.model.switched_forces import SwitchedElement, SwitchedForce
+from newton_euler.model.switched_forces import ElasticGear, SwitchedElement, SwitchedForce
 from newton_euler.model.variable import Variable, functions_of
 from newton_euler.scalars import Array
 
@@ -317,6 +318,29 @@ class Scene(Variable):
     def without_forces(self) -> Scene:
         """Return the scene with its mechanism and prescribed motions only, for kinematic analyses."""
         return replace(self, control=(), forces=(), armatures=(), outputs=frozenset())
+
+    def with_rigid_gears(self) -> Scene:
+        """Return the scene with a rigid gear in place of each elastic gear: without play, deflection and
+        friction."""
+        gears = [force for force in self.forces if isinstance(force, ElasticGear)]
+        if not gears:
+            return self
+        mechanism = self.mechanism
+        taken = {*mechanism.joint_names, *(coupling.name for coupling in mechanism.couplings)}
+        rigid = []
+        for gear in gears:
+            name = gear.name
+            while name in taken:  # names of forces may be those of joints
+                name += "_"
+            taken.add(name)
+            (driver, k), (follower, j) = gear.keys
+            rigid.append(Gear(name, driver, follower, gear.ratio, k, j))
+        couplings = (*mechanism.couplings, *rigid)
+        return replace(
+            self,
+            mechanism=Mechanism(mechanism.bodies, mechanism.joints, couplings),
+            forces=tuple(force for force in self.forces if not isinstance(force, ElasticGear)),
+        )
 
     @property
     def sampled(self) -> tuple[Sampled | Digital, ...]:

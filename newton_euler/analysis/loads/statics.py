@@ -43,7 +43,8 @@ def statics(
     """Compute the forces of actuators that hold a mechanism at rest, and all reactions of joints.
 
     Gravity, springs, wrenches and wind act; prescribed motions hold their coordinates; control laws do not
-    act. Prescribed motions and wind have their values at time 0; in `rest_case` wind has its largest speed.
+    act. Dry friction vanishes at rest, and elastic gears are rigid and without friction. Prescribed motions
+    and wind have their values at time 0; in `rest_case` wind has its largest speed.
 
     Args:
         scene: the mechanism with its forces.
@@ -61,6 +62,7 @@ def statics(
         >>> held.actuators, held.reaction_force.shape
         (('slide_12', 'slide_13'), (8, 3))
     """
+    scene = scene.with_rigid_gears()
     # states at rest, with prescribed motions that hold their coordinates
     given = States(scene, initial_state(scene) if states is None else states)
     given.velocities, original = None, scene

@@ -17,6 +17,7 @@ from newton_euler import (
     Scene,
     State,
     Trajectory,
+    statics,
 )
 from newton_euler.errors import MechanismError
 from newton_euler.model.initial_pose import described_at
@@ -162,3 +163,13 @@ def test_the_deflection_stays_when_the_scene_is_described_elsewhere():
     rest_of_run = newton_euler.simulate(replace(elsewhere, duration=0.1, initial_state=start))
     # 1e-10 of the height of 0.01 m that the run reaches
     assert np.abs(rest_of_run.position[-1] - whole.position[-1]).max() < 1e-9
+
+
+def test_statics_take_gears_as_rigid_and_without_friction():
+    """The torque that holds the weight is r m g, also at a state with play and deflection."""
+    scene = screw(forward_efficiency=0.3, backward_efficiency=-0.5, play=1e-4)
+    run = newton_euler.simulate(replace(scene, duration=0.01, output_period=0.01), integrator="Radau")
+    for state in (None, run.state(1)):
+        held = statics(scene, state)
+        assert held.actuators == ("bearing",)
+        assert held.actuator_force == pytest.approx([RATIO * WEIGHT], rel=1e-12)
