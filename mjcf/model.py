@@ -7,7 +7,7 @@ equations of motion with rigid and with soft constraints.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -19,6 +19,7 @@ from mjcf.layout import Layout
 from mjcf.loops import body_velocity
 from mjcf.write import controls, welded_to_xml
 from newton_euler.equations.coupling_equations import TreeCouplings
+from newton_euler.equations.load_friction import EngineFriction, HeldFriction
 from newton_euler.equations.model_control import EngineControl, roles
 from newton_euler.equations.system import MassProperties, Observation
 from newton_euler.model.control import NO_FORCES, Readings, commands
@@ -109,6 +110,8 @@ class MujocoScene:
         ]
         # switched forces, and the indices in MuJoCo's qpos and qvel of their coordinates
         self._switched = SwitchedLoads(scene)
+        self.held_friction: HeldFriction | None = None
+        self._friction = self.engine_friction(scene)
         names = [coordinate_name(self.mechanism.joint(joint), k) for joint, k in self._switched.keys]
         switched_joints = np.array([self.model.joint(name).id for name in names], dtype=int)
         self._switched_q = self.model.jnt_qposadr[switched_joints]
@@ -186,6 +189,10 @@ class MujocoScene:
         it."""
         raise NotImplementedError
 
+    def engine_friction(self, scene: Scene) -> EngineFriction:
+        """Return the equations for friction that grows with reactions; subclasses define them."""
+        raise NotImplementedError
+
     def model_forces(self, data: Any, readings: Readings) -> Mapping[Key, float]:
         """Return the part of control forces that laws compute by inverse dynamics, such as the weight.
 
@@ -217,7 +224,15 @@ class MujocoScene:
 
     def switched_loads(self, data: Any) -> tuple[Array, Array, float]:
         """Return forces, their elastic parts and the energy of switched forces, see `SwitchedLoads`."""
-        return self._switched.evaluate(data.qpos[self._switched_q], data.qvel[self._switched_v])
+
+        def friction(rates: Sequence[float]) -> Mapping[str, float]:
+            """Compute the frictions that grow with reactions."""
+            if self.held_friction is not None:
+                return self.held_friction
+            q, v = self.layout.to_qpos.T @ data.qpos, self.layout.to_qvel.T @ data.qvel
+            return self._friction.forces(q, v, data.time, rates)
+
+        return self._switched.evaluate(data.qpos[self._switched_q], data.qvel[self._switched_v], friction)
 
     def set_switched_forces(self, data: Any) -> None:
         """Apply switched forces to MuJoCo's joints, for the coordinates and rates in `data`."""

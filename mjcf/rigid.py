@@ -21,6 +21,7 @@ import numpy as np
 from mjcf.evaluate import EvaluatedScene, constraint_jacobian, mass_and_force
 from mjcf.loops import active_loops, closes_loop, loops_with_rows
 from newton_euler.equations.dense import solve_constrained
+from newton_euler.equations.load_friction import EngineFriction
 from newton_euler.equations.model_control import EngineControl, servo_forces
 from newton_euler.equations.redundancy import constraint_rank, rows_left_out, with_zero_rows
 from newton_euler.equations.system import Evaluation
@@ -67,6 +68,10 @@ class RigidMuJoCo(EvaluatedScene):
     def engine_control(self, scene: Scene) -> EngineControl:
         """Return the inverse dynamics of model-based control laws, which uses the matrices of this class."""
         return EngineControl(scene, RigidMuJoCo)
+
+    def engine_friction(self, scene: Scene) -> EngineFriction:
+        """Return the equations for friction that grows with reactions, with the matrices of this class."""
+        return EngineFriction(scene, RigidMuJoCo)
 
     def rate(self, q: Array, v: Array) -> Array:
         """Return dq/dt (nq,) for velocities v (nv,)."""

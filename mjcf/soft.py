@@ -31,6 +31,7 @@ from mjcf.evaluate import EvaluatedScene
 from mjcf.forces import wind_loads
 from mjcf.rigid import RigidMuJoCo
 from mjcf.write import control
+from newton_euler.equations.load_friction import EngineFriction
 from newton_euler.equations.model_control import EngineControl
 from newton_euler.equations.system import Evaluation
 from newton_euler.model.control import PD, DeclaredLaw, TimeDependentPD
@@ -81,6 +82,10 @@ class SoftMuJoCo(EvaluatedScene):
         """Return the inverse dynamics of model-based control laws, with rigid constraints."""
         return EngineControl(scene, RigidMuJoCo)
 
+    def engine_friction(self, scene: Scene) -> EngineFriction:
+        """Return the equations for friction that grows with reactions, with rigid constraints."""
+        return EngineFriction(scene, RigidMuJoCo)
+
     def use_integrator(self, name: str) -> None:
         """Set MuJoCo's integrator by its name in MJCF."""
         self.model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{name.upper()}")
@@ -122,6 +127,8 @@ class SoftMuJoCo(EvaluatedScene):
         if not (len(self.prescribed) or len(self.driven.law_indices) or evaluated):
             yield
             return
+        if self._friction.elements:
+            _ = self._friction.model  # no model can be compiled while the callback is set
         previous_callback = mujoco.get_mjcb_control()
         mujoco.set_mjcb_control(self._control_callback)
         try:

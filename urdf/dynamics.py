@@ -16,7 +16,7 @@ with Pinocchio's mass matrix, Jacobians and bias forces instead ("elimination" i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +24,7 @@ import pinocchio as pin
 
 from newton_euler.equations.coupling_equations import TreeCouplings
 from newton_euler.equations.dense import solve_constrained
+from newton_euler.equations.load_friction import EngineFriction, HeldFriction
 from newton_euler.equations.model_control import EngineControl, roles, servo_forces
 from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out, with_zero_rows
 from newton_euler.equations.system import Evaluation, MassProperties, Observation
@@ -161,6 +162,8 @@ class PinocchioSystem:
         self._sensed = [keys.index(key) for key in scene.sensed]
         # switched forces, and the indices in q and v of their coordinates
         self._switched = SwitchedLoads(scene)
+        self.held_friction: HeldFriction | None = None
+        self._friction = EngineFriction(scene, PinocchioSystem)
         switched = [self._tree.place(*key) for key in self._switched.keys]
         self._switched_q, self._switched_v = np.array(switched, dtype=int).reshape(-1, 2).T
         # inverse dynamics, if a control law uses a model of the mechanism (`roles` finds such laws)
@@ -276,11 +279,19 @@ class PinocchioSystem:
 
     def _switched_loads(self, q: Array, v: Array) -> tuple[Array, Array, float]:
         """Return forces, their elastic parts and the energy of switched forces, see `SwitchedLoads`."""
-        return self._switched.evaluate(q[self._switched_q], v[self._switched_v])
 
-    def _key(self, q: Array, v: Array) -> tuple[Scene, float, bytes, bytes]:
-        """Return a key of a state for results that are kept; it includes the scene and the time."""
-        return self.scene, self.time, q.tobytes(), v.tobytes()
+        def friction(rates: Sequence[float]) -> Mapping[str, float]:
+            """Compute the frictions that grow with reactions."""
+            if self.held_friction is not None:
+                return self.held_friction
+            return self._friction.forces(q, v, self.time, rates)
+
+        return self._switched.evaluate(q[self._switched_q], v[self._switched_v], friction)
+
+    def _key(self, q: Array, v: Array) -> tuple[Any, ...]:
+        """Return a key of a state for results that are kept, with the scene, the time and frictions."""
+        held = None if self.held_friction is None else tuple(self.held_friction.items())
+        return self.scene, self.time, held, q.tobytes(), v.tobytes()
 
     def _actuation(self, q: Array, v: Array) -> Array:
         """Compute the forces (a,) of `actuation`."""

@@ -62,6 +62,7 @@ from newton_euler.equations.row_choice import (
 )
 from newton_euler.equations.sparse import RowsInUse, add, dot, gram_factor, is_zero, least_squares
 from newton_euler.equations.system import Observation, at_time
+from newton_euler.equations.undetermined import check_loaded_frictions
 from newton_euler.errors import UnknownNameError
 from newton_euler.integrators.options import baumgarte_alpha
 from newton_euler.integrators.singular import NEAR_PIVOT_RATIO, ratio_for_steps
@@ -168,6 +169,7 @@ class CompiledEquations:
                 ones.
         """
         self.scene = scene
+        check_loaded_frictions(scene)
         formulation = formulation or cheaper_formulation(scene.mechanism)
         self._independent, self._requested = independent, tuple(parameters)
         self.formulation, self.stabilization = formulation, stabilization

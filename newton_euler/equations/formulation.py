@@ -12,6 +12,7 @@ are called Phi, their Jacobian Phi_q; gamma is the right side of Phi_q dv/dt = g
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
@@ -30,6 +31,7 @@ from newton_euler.equations.couplings import (
     row_owners,
     row_units,
 )
+from newton_euler.equations.load_friction import HeldFriction, loaded_frictions, solve_frictions
 from newton_euler.equations.revolutions import revolutions
 from newton_euler.equations.sparse import Equations, Rows, RowsInUse, Solution, dot, sparse_vector, to_array
 from newton_euler.equations.system import Evaluation, MassProperties, Observation, System
@@ -100,6 +102,8 @@ class Formulation(System):
             `newton_euler.equations.redundancy.rows_left_out` selects.
         branches: flags of switched forces (dry friction, stops of joints) by identity, which integrators hold
             during a step; without flags the state decides.
+        held_friction: given frictions that would grow with reactions, to compute the reactions of others;
+            None to solve for them.
         phi_units: (k,) divisors that make the rows of `phi` dimensionless: the mechanism's size, m, for a row
             in meters, else 1.
         row_owners: (k,) name of the joint, coupling or body that each row of `phi` belongs to.
@@ -147,6 +151,7 @@ class Formulation(System):
         self.in_use: RowsInUse | None = None
         self.omitted: list[int] | None = None
         self.branches: Mapping[str, Iterable[Scalar]] = {}
+        self.held_friction: HeldFriction | None = None
         self.couplings = couplings(scene)
         self.rows = sum(e.count for e in constrained) + len(self.couplings)
         self.phi_units = row_units(constrained, self.couplings, self.mechanism.size)
@@ -459,7 +464,29 @@ class Formulation(System):
     def surroundings(self, q: Array, v: Array) -> Surroundings:
         """Compute the quantities that forces depend on: frames, joint coordinates, time."""
         frames, measured, model = self.frames(q, v), self.measured(q, v), partial(self.model_forces, q, v)
-        return Surroundings(self.mechanism, self.poses, frames, measured, self.time, model, self.branches)
+        friction = partial(self.loaded_friction, q, v)
+        at = Surroundings(self.mechanism, self.poses, frames, measured, self.time, model, friction)
+        return at._replace(branches=self.branches)
+
+    def loaded_friction(self, q: Array, v: Array) -> HeldFriction:
+        """Compute the frictions that grow with reactions, N or N m, by identity of the element."""
+        if self.held_friction is not None:
+            return self.held_friction
+        at, elements = self.surroundings(q, v), loaded_frictions(self.scene)
+        joints = [self.mechanism.joint_index(element.joint) for element in elements]
+
+        def reactions(held: HeldFriction) -> list[Array]:
+            """Compute the reactions of the elements' joints for given frictions."""
+            trial = copy.copy(self)
+            trial.held_friction = held
+            if self.in_use is None:
+                evaluation = trial.evaluate(q, v)
+            else:
+                evaluation, _ = trial.sparse_evaluation(q, v, self.in_use)
+            return [evaluation.reaction_force[joint] for joint in joints]
+
+        slopes = {each.identity: each.load_coefficient * each.saturated_speed(at) for each in elements}
+        return solve_frictions(slopes, reactions)
 
     def switching(self, q: Array, v: Array) -> list[Scalar]:
         """Compute the switching functions of all switched forces, see

@@ -27,8 +27,8 @@ value of the same shape as in the scene:
   law, in addition to the parameters of the law that the computer executes;
 - `JOINT.spring.stiffness`, `JOINT.spring.damping`, `JOINT.spring.rest` of the spring at a joint,
   `JOINT.1.spring.rest` for the joint's second coordinate;
-- `JOINT.friction.coulomb`, `JOINT.friction.stribeck`, `JOINT.friction.stribeck_speed` and
-  `JOINT.friction.transition_speed` of the dry friction at a joint;
+- `JOINT.friction.coulomb`, `JOINT.friction.stribeck`, `JOINT.friction.stribeck_speed`,
+  `JOINT.friction.transition_speed` and `JOINT.friction.load_coefficient` of the dry friction at a joint;
 - `JOINT.low_stop.limit`, `JOINT.low_stop.stiffness` and `JOINT.low_stop.dissipation` of the stop at the low
   end of a joint coordinate; high_stop in place of low_stop for the other end;
 - `NAME.ratio`, `NAME.stiffness`, `NAME.play`, `NAME.dissipation`, `NAME.forward_efficiency`,

@@ -18,7 +18,9 @@ from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.coupling_equations import residuals
 from newton_euler.equations.couplings import couplings
 from newton_euler.equations.dense import RANK_TOLERANCE, orthonormal_null, orthonormal_range
+from newton_euler.equations.load_friction import loaded_frictions
 from newton_euler.equations.redundancy import mobility
+from newton_euler.errors import MechanismError
 from newton_euler.model.constraints import Jacobian
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
@@ -203,3 +205,19 @@ def redundancy_text(count: int, joints: str) -> str:
     """Format the number of redundant constraints and the names of their joints, for messages."""
     plural = "s" if count > 1 else ""
     return f"{count} redundant constraint{plural} at joints {joints}"
+
+
+def check_loaded_frictions(scene: Scene) -> None:
+    """Raise `MechanismError` for friction that grows with an undetermined reaction."""
+    elements = loaded_frictions(scene)
+    if not elements:
+        return
+    undetermined = is_undetermined(scene)
+    for element in elements:
+        force, _torque = undetermined[scene.mechanism.joint_index(element.joint)]
+        if np.any(force):
+            raise MechanismError(
+                element.element,
+                "grows with a reaction that redundant constraints leave undetermined",
+                "load_coefficient 0, or joints without redundant constraints",
+            )

@@ -41,6 +41,8 @@ class Surroundings(NamedTuple):
         time: s.
         model: function without arguments that computes, by joint coordinate, the forces (N or N m) of control
             laws that use a model of the mechanism. The default, `dict`, returns no forces.
+        friction: function without arguments that computes, by identity of the element, the frictions (N or
+            N m) that grow with the reaction of their joint. The default, `dict`, returns none.
         branches: flags of switched forces by their `Element.identity`, see
             `newton_euler.model.switched_forces`. The state decides the branches of forces without an entry.
     """
@@ -51,6 +53,7 @@ class Surroundings(NamedTuple):
     measured: Mapping[Key, Sequence[Any]]
     time: Scalar
     model: Callable[[], Mapping[Key, Scalar]] = dict
+    friction: Callable[[], Mapping[str, Scalar]] = dict
     branches: Mapping[str, Iterable[Scalar]] = MappingProxyType({})
 
 

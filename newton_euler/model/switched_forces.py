@@ -69,6 +69,11 @@ class JointFriction(CoordinateForce, SwitchedForce):
     stick creeps by less than v_t: the smaller v_t, the better the approximation and the stiffer the
     equations. Viscous friction at all speeds is the damping of a `JointSpring`.
 
+    Friction of a loaded bearing or slide grows with the reaction force R of the joint: c |R| sat(v / v_t) is
+    added, where the load coefficient c is the coefficient of friction of a slide, and this coefficient times
+    the radius of the bearing at a hinge. Torques of the reaction are not counted. The reaction is that of
+    the same instant, and must not be left undetermined by redundant constraints.
+
     Sources: the Stribeck curve is that of D. P. Hess and A. Soom, Journal of Tribology 112 (1990), pp.
     147-152, as in the survey of B. Armstrong-Helouvry, P. Dupont and C. Canudas de Wit, Automatica 30 (1994),
     pp. 1083-1138. The saturation is that of S. Andersson, A. Soderberg and S. Bjorklund, Tribology
@@ -80,6 +85,7 @@ class JointFriction(CoordinateForce, SwitchedForce):
         stribeck: F_s, N or N m, 0 or more: the difference between static and Coulomb friction.
         stribeck_speed: v_s, m/s or rad/s, positive.
         transition_speed: v_t, m/s or rad/s, positive; well below `stribeck_speed`.
+        load_coefficient: c, dimensionless for a slide, m about a hinge, 0 or more.
         coordinate: index of the joint coordinate, from 0.
 
     Raises:
@@ -95,6 +101,7 @@ class JointFriction(CoordinateForce, SwitchedForce):
     stribeck: float = 0.0
     stribeck_speed: float = 0.01
     transition_speed: float = 1e-3
+    load_coefficient: float = 0.0
     coordinate: int = 0
 
     noun = "friction"
@@ -106,6 +113,7 @@ class JointFriction(CoordinateForce, SwitchedForce):
         "stribeck": NumberField("N", unit_about="N m", least=0.0, strength="friction"),
         "stribeck_speed": NumberField("m/s", unit_about="rad/s", positive=True),
         "transition_speed": NumberField("m/s", unit_about="rad/s", positive=True),
+        "load_coefficient": NumberField(unit_about="m", least=0.0, strength="friction"),
     }
 
     def __post_init__(self) -> None:
@@ -119,12 +127,22 @@ class JointFriction(CoordinateForce, SwitchedForce):
         _, rate = self.measure(at)
         return beyond_unity(rate / self.transition_speed)
 
-    def at_joint(self, at: Surroundings) -> Scalar:
+    @property
+    def is_loaded(self) -> bool:
+        """True if the friction grows with the reaction of the joint."""
+        return not isinstance(self.load_coefficient, float) or self.load_coefficient > 0.0
+
+    def saturated_speed(self, at: Surroundings) -> Scalar:
+        """Compute the rate in units of the transition speed, limited to -1 to 1."""
         _, rate = self.measure(at)
         above, below = self.positive_parts(at)
-        saturated = rate / self.transition_speed - above + below
+        return rate / self.transition_speed - above + below
+
+    def at_joint(self, at: Surroundings) -> Scalar:
+        _, rate = self.measure(at)
         ratio = rate / self.stribeck_speed
-        return -(self.coulomb + self.stribeck / (1.0 + ratio * ratio)) * saturated
+        force = -(self.coulomb + self.stribeck / (1.0 + ratio * ratio)) * self.saturated_speed(at)
+        return force + at.friction()[self.identity] if self.is_loaded else force
 
 
 @dataclass(frozen=True)

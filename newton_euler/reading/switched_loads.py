@@ -8,7 +8,7 @@ therefore also finds mistakes in the methods.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, assert_never
 
 import numpy as np
@@ -43,6 +43,7 @@ def switched_load(element: SwitchedElement, x: Sequence[float], rates: Sequence[
     """
     if isinstance(element, JointFriction):
         (rate,) = rates
+        # friction that grows with the reaction of the joint is added by `SwitchedLoads.evaluate`
         curve = element.coulomb + element.stribeck / (1.0 + (rate / element.stribeck_speed) ** 2)
         saturated = min(max(rate / element.transition_speed, -1.0), 1.0)
         return SwitchedLoad([-curve * saturated], [0.0], 0.0)
@@ -92,12 +93,19 @@ class SwitchedLoads:
         for element in scene.switched_forces:
             self._elements.append((element, slice(first, first + len(element.keys))))
             first += len(element.keys)
+        self._loaded = [
+            place for each, place in self._elements if isinstance(each, JointFriction) and each.is_loaded
+        ]
 
-    def evaluate(self, x: Array, rates: Array) -> tuple[Array, Array, float]:
+    def evaluate(
+        self, x: Array, rates: Array, friction: Callable[[Sequence[float]], Mapping[str, float]]
+    ) -> tuple[Array, Array, float]:
         """Compute all loads.
 
         Args:
             x, rates: coordinates of `keys`, m or rad from the initial pose, and their rates.
+            friction: computes, by identity of the element, the frictions that grow with reactions, from the
+                rates of their joint coordinates. It is not called without such elements.
 
         Returns:
             The forces (k,) on the coordinates, N or N m; the parts (k,) that have a potential energy; this
@@ -105,9 +113,12 @@ class SwitchedLoads:
         """
         forces, elastic, energy = list[float](), list[float](), 0.0
         coordinates, speeds = x.tolist(), rates.tolist()
+        loaded = friction([speeds[place.start] for place in self._loaded]) if self._loaded else {}
         for element, place in self._elements:
             load = switched_load(element, coordinates[place], speeds[place])
             forces += load.forces
+            if element.identity in loaded:
+                forces[-1] += loaded[element.identity]
             elastic += load.elastic
             energy += load.energy
         return np.array(forces, dtype=float), np.array(elastic, dtype=float), energy

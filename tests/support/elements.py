@@ -323,6 +323,16 @@ def rubbed(scene: Scene) -> Scene:
     return replace(scene, forces=tuple(forces))
 
 
+def loaded(scene: Scene) -> Scene:
+    """Dry friction on all joint coordinates that grows with the reactions of the joints."""
+    rng, forces = np.random.default_rng(5), list[Force]()
+    for joint in scene.mechanism.joints:
+        for k, kind in enumerate(joint.coordinate_kinds):
+            coefficient = rng.uniform(0.1, 0.3) * (1.0 if kind == "slide" else 0.05)
+            forces.append(JointFriction(joint.name, 0.02, 0.01, 0.1, 0.2, coefficient, coordinate=k))
+    return replace(scene, forces=tuple(forces))
+
+
 def windy(scene: Scene) -> Scene:
     """Turbulent wind on a plate askew and off the center of mass of the last body."""
     body = scene.mechanism.bodies[-1]
@@ -527,6 +537,8 @@ FORCES = {
     "wind, cut at a ball": windy(ball_loop()),
     "friction and stops": rubbed(screw_press()),
     "friction and stops, cut at a ball": rubbed(ball_loop()),
+    "friction of loaded joints": loaded(screw_press()),
+    "friction of loaded joints, cut at a ball": loaded(ball_loop()),
     **{f"forces, {name}": forced((JOINTS | MOTIONS)[name]) for name in FORCED},
 }
 """Springs, wrenches and wind, on joints that are cut among others."""

@@ -125,7 +125,7 @@ def _has(element, name):
 
 MIXED = {"axis", "axis_on_first", "axis_on_second", "direction", "quaternion", "ratio", "terms"}
 MIXED |= {"coefficients", "gains", "targets", "function", "stroke"}
-MIXED |= {"forward_efficiency", "backward_efficiency"}
+MIXED |= {"forward_efficiency", "backward_efficiency", "load_coefficient"}
 """Numbers without a unit, and with several."""
 
 

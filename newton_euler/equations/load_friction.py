@@ -1,0 +1,140 @@
+"""Dry friction that grows with the reaction force of its joint.
+
+Such friction f_j = -s_j |R_j| depends on accelerations, because the reaction R_j does, and R_j depends on all
+such frictions. At a given state the reactions are linear in the frictions f_k,
+
+    R_j = R_j0 + sum_k R_jk f_k,
+
+with the reactions R_j0 without them, and the responses R_jk to unit forces on the joint coordinates. Newton's
+method solves the n equations for f_j. The slope s_j is the load coefficient of the friction times the
+saturated speed, see `newton_euler.model.switched_forces.JointFriction`.
+
+Numbers may be floats or generic scalars such as expressions of the code generator.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+from newton_euler.model.scene import Scene
+from newton_euler.model.switched_forces import JointFriction
+from newton_euler.scalars import Array, Scalar, sqrt
+
+FRICTION_STEPS = 5
+"""Number of Newton steps for the frictions. The first guess has an error of some coefficients of friction
+squared, and each step squares the relative error: 0.1 becomes 1e-16 in four steps."""
+
+MIN_REACTION = 1e-9
+"""Force, N, that is added to reactions in quadrature, so that their magnitude has a derivative at zero."""
+
+HeldFriction = Mapping[str, Scalar]
+"""Given frictions, N or N m, by identity of the element."""
+
+
+def loaded_frictions(scene: Scene) -> list[JointFriction]:
+    """Return the elements of a scene whose friction grows with the reaction of their joint."""
+    return [each for each in scene.forces if isinstance(each, JointFriction) and each.is_loaded]
+
+
+def solve_frictions(
+    slopes: Mapping[str, Scalar], reactions: Callable[[HeldFriction], Sequence[Array]]
+) -> dict[str, Scalar]:
+    """Solve for the frictions of all elements, N or N m, by identity.
+
+    Args:
+        slopes: s_j by identity of the element: dimensionless for a slide, m about a hinge.
+        reactions: computes the reaction forces (3,), N, of the elements' joints, in the order of `slopes`,
+            for given frictions.
+    """
+    names, s = list(slopes), list(slopes.values())
+    count = range(len(names))
+    alone = reactions(dict.fromkeys(names, 0.0))
+    responses = []
+    for k in count:
+        unit = {name: 1.0 if number == k else 0.0 for number, name in enumerate(names)}
+        responses.append([loaded - free for loaded, free in zip(reactions(unit), alone, strict=True)])
+    forces: list[Scalar] = [0.0 for _ in count]
+    for _ in range(FRICTION_STEPS):
+        residuals, rows = [], []
+        for j in count:
+            reaction = alone[j] + sum(responses[k][j] * forces[k] for k in count)
+            magnitude = sqrt(reaction @ reaction + MIN_REACTION * MIN_REACTION)
+            residuals.append(forces[j] + s[j] * magnitude)
+            slope = s[j] / magnitude
+            rows.append([slope * (reaction @ responses[k][j]) + (1.0 if k == j else 0.0) for k in count])
+        changes = _eliminated(rows, residuals)
+        forces = [force - change for force, change in zip(forces, changes, strict=True)]
+    return dict(zip(names, forces, strict=True))
+
+
+def _eliminated(rows: list[list[Scalar]], right: list[Scalar]) -> list[Scalar]:
+    """Solve linear equations by elimination without pivoting; the matrix is the identity plus small terms."""
+    rows, right, count = [[*row] for row in rows], [*right], len(right)
+    for k in range(count):
+        for i in range(k + 1, count):
+            factor = rows[i][k] / rows[k][k]
+            rows[i] = [a - factor * b for a, b in zip(rows[i], rows[k], strict=True)]
+            right[i] = right[i] - factor * right[k]
+    solution: list[Scalar] = [0.0] * count
+    for k in reversed(range(count)):
+        known = sum((rows[k][i] * solution[i] for i in range(k + 1, count)), start=0.0)
+        solution[k] = (right[k] - known) / rows[k][k]
+    return solution
+
+
+class FrictionModel(Protocol):
+    """Equations of motion of an engine, with frictions that are given."""
+
+    time: Scalar
+    held_friction: HeldFriction | None
+
+    def evaluate(self, q: Array, v: Array) -> Any:
+        """Compute an `Evaluation` of a state."""
+
+
+class EngineFriction:
+    """Frictions that grow with reactions, by the equations of another engine."""
+
+    def __init__(self, scene: Scene, build: Callable[[Scene], FrictionModel]) -> None:
+        """Find the elements of a scene; `build` makes the engine's model when it is first needed."""
+        self._scene, self._build = scene, build
+        self.elements = loaded_frictions(scene)
+        self._joints = [scene.mechanism.joint_index(element.joint) for element in self.elements]
+        self._model: FrictionModel | None = None
+        self._last: tuple[Any, dict[str, float]] = None, {}
+
+    @property
+    def model(self) -> FrictionModel:
+        """The engine's model of the scene."""
+        self._model = self._model or self._build(self._scene)
+        return self._model
+
+    def forces(self, q: Array, v: Array, time: float, rates: Sequence[float]) -> dict[str, float]:
+        """Compute the frictions, N or N m, by identity; the result for the last state is reused.
+
+        Args:
+            q, v: (nq,) and (nv,) coordinates and velocities of the engine's model.
+            time: s.
+            rates: rates of the joint coordinates of the elements, m/s or rad/s.
+        """
+        state = q.tobytes(), v.tobytes(), time
+        if self._last[0] != state:
+            model = self.model
+            model.time = time
+
+            def reactions(held: HeldFriction) -> list[Array]:
+                """Compute the reactions for given frictions."""
+                model.held_friction = held
+                evaluation = model.evaluate(q, v)
+                return [evaluation.reaction_force[joint] for joint in self._joints]
+
+            slopes = {
+                element.identity: element.load_coefficient
+                * float(np.clip(rate / element.transition_speed, -1.0, 1.0))
+                for element, rate in zip(self.elements, rates, strict=True)
+            }
+            self._last = state, solve_frictions(slopes, reactions)
+        return self._last[1]

@@ -1,0 +1,85 @@
+"""Dry friction that grows with the reaction of its joint: closed forms, and all engines."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import mjcf
+import newton_euler
+import urdf
+from newton_euler import Body, JointFriction, Mechanism, Prismatic, Revolute, Scene, State
+from newton_euler.errors import MechanismError
+
+MASS, GRAVITY, TRANSITION = 2.0, 9.81, 1e-6
+ENGINES = {
+    "relative": lambda scene: newton_euler.simulate(scene, "relative"),
+    "cartesian": lambda scene: newton_euler.simulate(scene, "cartesian"),
+    "mujoco": mjcf.simulate,
+    "pinocchio": urdf.simulate,
+}
+
+
+def scene_of(body: Body, joint: Prismatic | Revolute, friction: JointFriction, **start: np.ndarray) -> Scene:
+    """One body on one joint, with velocities at the start."""
+    mechanism = Mechanism([Body.ground(), body], [joint])
+    velocities = {name: np.array([np.zeros(3), value]) for name, value in start.items()}
+    state = replace(State.initial(mechanism), **velocities)
+    return Scene(
+        "loaded", mechanism, 0.5, 0.05, [0.0, 0.0, -GRAVITY], initial_state=state, forces=(friction,)
+    )
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_block_slides_down_an_incline(engine):
+    """g (sin - mu cos), with the coefficient of friction mu."""
+    angle, mu, speed = 0.6, 0.3, 1.0
+    along = np.array([np.cos(angle), 0.0, np.sin(angle)])
+    rail = Prismatic("rail", "ground", "block", np.zeros(3), axis=along)
+    friction = JointFriction("rail", 0.0, transition_speed=TRANSITION, load_coefficient=mu)
+    body = Body("block", MASS, np.zeros(3), np.eye(3))
+    run = ENGINES[engine](scene_of(body, rail, friction, linear_velocity=-speed * along))
+    exact = -speed * run.time - 0.5 * GRAVITY * (np.sin(angle) - mu * np.cos(angle)) * run.time**2
+    assert np.abs(run.position[:, 1] @ along - exact).max() < 1e-13  # parabolas, exact in all engines
+
+
+def test_an_eccentric_wheel_slows_down_in_its_bearing():
+    """m r (w^2 e cos, w^2 e sin) and the weight load the bearing; the equation of the angle by SciPy."""
+    from scipy.integrate import solve_ivp
+
+    eccentricity, inertia, coefficient, speed = 0.05, 0.02, 0.004, 20.0
+    about = inertia + MASS * eccentricity**2
+    body = Body("wheel", MASS, [eccentricity, 0.0, 0.0], inertia * np.eye(3))
+    hinge = Revolute("bearing", "ground", "wheel", np.zeros(3), axis=[0.0, 1.0, 0.0])
+    friction = JointFriction("bearing", 0.0, transition_speed=TRANSITION, load_coefficient=coefficient)
+    start = {"angular_velocity": [0.0, speed, 0.0], "linear_velocity": [0.0, 0.0, -speed * eccentricity]}
+    scene = scene_of(body, hinge, friction, **start)
+    run = newton_euler.simulate(scene, rtol=1e-11, atol=1e-13)
+
+    def rates(_: float, y: np.ndarray) -> list[float]:
+        """Angle phi about -y, from x towards z below; the reaction by Newton's equation, by iteration."""
+        phi, w = y
+        out, down = np.array([np.cos(phi), 0.0, -np.sin(phi)]), np.array([-np.sin(phi), 0.0, -np.cos(phi)])
+        torque, alpha = 0.0, 0.0
+        for _ in range(60):
+            alpha = (MASS * GRAVITY * eccentricity * np.cos(phi) + torque) / about
+            acceleration = eccentricity * (alpha * down - w**2 * out)
+            torque = -coefficient * np.linalg.norm(MASS * (acceleration + np.array([0.0, 0.0, GRAVITY])))
+        return [w, alpha]
+
+    exact = solve_ivp(rates, (0.0, 0.5), [0.0, speed], "DOP853", rtol=1e-12, atol=1e-12, t_eval=run.time)
+    assert np.abs(run.joint("bearing").coordinates[:, 0] - exact.y[0]).max() < 1e-9
+    assert speed - exact.y[1, -1] > 0.1  # the friction shows
+
+
+def test_an_undetermined_reaction_is_refused():
+    """Two hinges on one axis: each may carry what the other does not."""
+    body = Body("door", 1.0, [0.5, 0.0, 0.0], np.eye(3))
+    hinges = [
+        Revolute(name, "ground", "door", [0.0, 0.0, z], axis=[0.0, 0.0, 1.0])
+        for name, z in (("low", 0.0), ("high", 1.0))
+    ]
+    mechanism = Mechanism([Body.ground(), body], hinges)
+    scene = Scene("door", mechanism, 0.1, 0.1, forces=(JointFriction("low", 0.0, load_coefficient=0.01),))
+    with pytest.raises(MechanismError, match="friction of joint 'low'"):
+        newton_euler.simulate(scene)
