@@ -31,7 +31,7 @@ from newton_euler.model.parallel_hinges import ParallelHinges
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.switched_forces import ElasticGear, JointFriction, JointStop
-from newton_euler.model.wind import WindLoad, wind_turbulence
+from newton_euler.model.wind import WindLoad, vertical_turbulence, wind_turbulence
 
 
 def _scene(
@@ -344,6 +344,7 @@ def windy(scene: Scene) -> Scene:
         second_side=[-0.2, 0.4, 0.0],
         direction=[1.0, -2.0, 0.5],
         speed=wind_turbulence(4.0, 1.0, 10.0, seed=3, lowest=0.1, highest=2.0, count=4),
+        vertical_speed=vertical_turbulence(4.0, 2.0, 10.0, seed=3, lowest=0.5, highest=2.0, count=2),
     )
     return replace(scene, forces=(wind,))
 
