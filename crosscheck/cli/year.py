@@ -32,7 +32,11 @@ LIBRARY_TILT, ANY_TILT = 30.0, 90.0
 @cli.command("year")
 @click.argument("scene", required=False)
 @setting_options
-@click.option("--axis", metavar="BODY=X,Y,Z", help="Normal of the face, in the frame of its body.")
+@click.option(
+    "--axis",
+    metavar="BODY=X,Y,Z",
+    help="Normal of the face, in the frame of its body.  [default: panel_7=0,0,1 if there is this body]",
+)
 @click.option(
     "--weather",
     type=click.Path(path_type=Path),
@@ -140,16 +144,13 @@ def year_command(
     from crosscheck.solar.year_report import YEAR_FILES, write_year, year_report
     from newton_euler.optional_packages import optional_package
 
-    # the face, and the rules of tracking
-    if (scene is None) != (axis is None):
-        raise CrosscheckError("SCENE and --axis BODY=X,Y,Z belong together; give both or none")
+    # the rules of tracking
     options = refuse_excitation(scene_options(settings), why="poses are at rest")
     if scene is None and options:
         raise CrosscheckError(f"--set {next(iter(options))} needs a SCENE")
     default_tilt = LIBRARY_TILT if scene is None else ANY_TILT
     # the other options are rules of tracking
     tracking = Tracking(most_tilt=default_tilt if most_tilt is None else most_tilt, **numbers)
-    normal = PANEL_NORMAL if axis is None else axis_of(axis)
     orientation = None if base is None else base_of(base)
     ends = dict(map(stroke_of, strokes))
     # the module
@@ -175,6 +176,10 @@ def year_command(
     sources: list[str | Path] = [source, *([] if weather is None else [weather])]
     paths = result_paths(output, "output/year", kind="solar year", names=YEAR_FILES, sources=sources)
     loaded = sun_tracker() if scene is None else load_with_warnings(scene, options)
+    normal = PANEL_NORMAL if axis is None else axis_of(axis)
+    if axis is None and PANEL_NORMAL.body not in loaded.mechanism.body_names:
+        bodies = ", ".join(loaded.mechanism.body_names[1:])
+        raise CrosscheckError(f"needed: --axis BODY=X,Y,Z, the normal of a face; bodies: {bodies:.500}")
     with progress_shown() as progress:
         progress("reading the weather" if weather else "light of the sky")
         if place is not None and year is not None:

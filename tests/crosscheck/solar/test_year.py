@@ -370,7 +370,10 @@ def test_the_command_writes_what_it_prints(tmp_path, capsys):
         ),
         (["--weather", "none.csv", "--latitude", "5"], "--weather has the place; leave out --latitude"),
         (["--weather", "none.csv"], "none.csv: cannot be read: No such file"),
-        (["tracker", "--latitude", "5", "--year", "2026"], "SCENE and --axis BODY=X,Y,Z belong together"),
+        (
+            ["pendulum", "--latitude", "5", "--year", "2026"],
+            "needed: --axis BODY=X,Y,Z, the normal of a face; ",
+        ),
         (["--latitude", "5", "--year", "2026", "--area", "2"], "--area, --efficiency and --temp"),
         (["--latitude", "5", "--year", "2026", "--set", "x=1"], "--set x needs a SCENE"),
         (["--latitude", "5", "--year", "2026", "--stow", "9"], "clear sky of 2026 has no wind"),
