@@ -430,4 +430,8 @@ def _rate(graph: Graph, index: int, rates: dict[int, Any]) -> Any:
         return (da - result * db) / b
     if op == "arctan2":
         return (b * da - a * db) / (a * a + b * b)
+    if op == "minimum":
+        # 1 where a is smaller, 0 where b is; without a value where both are equal and the derivative jumps
+        chosen = (b - result) / (b - a)
+        return da * chosen + db * (1.0 - chosen)
     raise TypeError(f"{op} has no derivative")

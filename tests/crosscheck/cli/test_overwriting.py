@@ -78,6 +78,7 @@ QUICK = {
     "drives": (("--catalog", "drives.csv"), "drive table"),
     "loads": (("--at-rest",), "load table"),
     "modes": ((), "modal analysis"),
+    "controllers": (("--engines", "newton_euler"), "comparison of controllers"),
     "workspace": (("--vary", "pivot=-1:1:2"), "workspace"),
     "faults": (("--engine", "newton_euler"), "fault search"),
     "identify": (("measured.csv", "--fit", "bob.mass"), "fit"),

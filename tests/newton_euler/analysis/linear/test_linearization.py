@@ -18,7 +18,7 @@ from newton_euler.analysis.linear.linearization import linearize
 from newton_euler.analysis.loads.equilibrium import at_rest, equilibrium
 from newton_euler.analysis.loads.statics import statics
 from newton_euler.equations.relative import Relative
-from newton_euler.errors import NewtonEulerError
+from newton_euler.errors import NewtonEulerError, SingularityError
 from newton_euler.integrators.projection import project_position, project_velocity
 from newton_euler.model.control import PD
 from newton_euler.model.digital_control import Sampled
@@ -30,6 +30,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial
 from newton_euler.model.splines import Spline
 from newton_euler.model.state import State
+from newton_euler.model.switched_forces import JointFriction
 from newton_euler.reading.excitation import random_states
 from newton_euler.runs.assemble import initial_state
 from newton_euler.runs.simulate import compile_scene, simulate
@@ -84,6 +85,22 @@ def test_mass_on_a_spring_under_a_law():
     held = linearize(scene, closed_loop=False)
     assert pytest.approx(held.A, rel=1e-14) == [[0.0, 1.0], [-STIFFNESS / MASS, -DAMPING / MASS]]
     assert pytest.approx(held.f, rel=1e-14) == [0.0, 6.0 / MASS]
+
+
+def test_friction_has_the_slope_of_its_piece():
+    """Viscous below the transition speed, Stribeck's curve above it, and no slope where both meet."""
+    coulomb, stribeck, speed, transition = 4.0, 1.5, 0.02, 1e-3
+    scene = mass_on_rail(forces=(JointFriction("rail", coulomb, stribeck, speed, transition),))
+
+    def damping(rate: float) -> float:
+        return -MASS * linearize(start(scene, rail=(0.0, rate))).A[1, 1]
+
+    assert damping(0.0) == pytest.approx((coulomb + stribeck) / transition, rel=1e-12)
+    for rate in (0.01, -0.05):
+        slope = -2.0 * stribeck * abs(rate) / speed**2 / (1.0 + (rate / speed) ** 2) ** 2
+        assert damping(rate) == pytest.approx(slope, rel=1e-12)
+    with pytest.raises(SingularityError, match="accelerations are not determined at the state"):
+        damping(transition)
 
 
 def test_laws_that_depend_on_time_are_those_of_the_time():
