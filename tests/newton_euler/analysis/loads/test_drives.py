@@ -264,3 +264,28 @@ def test_motion_of_a_run():
     energy = run.kinetic_energy + run.potential_energy
     found = demand(motion)
     assert found.work - found.braking_work == pytest.approx(energy[-1] - energy[0], rel=1e-3)
+
+
+def test_rms_of_a_linear_force_and_direction_at_a_reversal():
+    """The rms of a line from 0 to 3 is sqrt(3). An interval without a way has its last direction."""
+    time = np.array([0.0, 2.0, 4.0])
+    motion = ActuatorMotion(
+        "slide", True, time, np.array([0.0, 3.0, 0.0]), np.array([1.0, 1.0, 0.0]), np.array([1.0, -1.0, 0.0])
+    )
+    assert demand(motion).rms_force == pytest.approx(math.sqrt(3.0))
+    assert motion.direction.tolist() == [-1.0, -1.0]
+
+
+def test_vibrations_at_rest_need_no_torque():
+    """A tenth of the speed below which an actuator is at rest, with a high acceleration."""
+    time = np.array([0.0, 1.0, 2.0, 2.001])
+    speed, position = np.array([1.0, 1.0, 0.0, 1e-4]), np.array([0.0, 1.0, 1.5, 1.5])
+    motion = ActuatorMotion("slide", True, time, np.full(4, 10.0), position, speed)
+    motor = motor_motion(replace(DRIVE, screw=replace(SCREW, inertia=1.0)), motion)
+    assert motor.torque[:, -1] == pytest.approx(0.0, abs=1e-15)
+    assert motor.gear_torque[:, -1] == pytest.approx(0.0, abs=1e-15)
+
+
+def test_a_stage_without_back_efficiency_locks():
+    assert replace(DRIVE, screw=None, gear_back_efficiency=0.0).is_self_locking
+    assert not replace(DRIVE, screw=None, gear_back_efficiency=0.01).is_self_locking
