@@ -115,6 +115,9 @@ LIBRARY_TILT, ANY_TILT = 30.0, 90.0
     show_default=True,
     help="Smallest distance from singular configurations, as in workspace.",
 )
+@click.option(
+    "--reach", "with_reach", is_flag=True, help="Map the sun's directions over the year that can be faced."
+)
 @folder_option("output/sun/SCENE")
 @verbose_option
 def sun_command(
@@ -129,6 +132,7 @@ def sun_command(
     stow: float | None,
     wind: str | None,
     wind_from: float | None,
+    with_reach: bool,
     output: Path | None,
     **numbers: float,
 ) -> int:
@@ -142,7 +146,8 @@ def sun_command(
     from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker
     from crosscheck.solar.day import check_period, tracker_day
     from crosscheck.solar.place import SUN, Place, seconds_of_day
-    from crosscheck.solar.report import DAY_FILES, SURVEY_FILES, day_report, survey_report
+    from crosscheck.solar.reach import reach_over_year
+    from crosscheck.solar.report import DAY_FILES, REACH_FILES, SURVEY_FILES, day_report, survey_report
     from crosscheck.solar.results import write_day, write_survey
     from crosscheck.solar.tracking import Tracking
     from crosscheck.solar.wind import wind_over_day
@@ -167,9 +172,13 @@ def sun_command(
     speeds = None if wind is None else wind_over_day(wind, seconds_of_day(period))
     places = [Place(latitude, longitude, altitude) for latitude in latitudes]
     pairs = list(product(places, dates))
+    if with_reach and len(pairs) > 1:
+        raise CrosscheckError("--reach is for one place and one date")
     # raises if pvlib, one of the optional dependencies `SUN`, is missing, before folders are created
     optional_package("pvlib", SUN)
-    source, files = scene or LIBRARY_TRACKER, SURVEY_FILES if len(pairs) > 1 else DAY_FILES
+    source = scene or LIBRARY_TRACKER
+    files: tuple[str, ...] = SURVEY_FILES if len(pairs) > 1 else DAY_FILES
+    files += REACH_FILES if with_reach else ()
     sources = [source, *([wind] if wind and Path(wind).is_file() else [])]
     paths = result_paths(output, "output/sun", kind="solar day", names=files, sources=sources)
     # the tracker and its face
@@ -190,8 +199,12 @@ def sun_command(
             report = survey_report(days)
             written = write_survey(days, report, paths, source, options)
         else:
-            report = day_report(days[0])
-            written = write_day(days[0], report, paths, source, options)
+            year, reach = days[0].sun.times[0].year, None
+            if with_reach:
+                progress(f"the sun over {year}")
+                reach = reach_over_year(loaded, normal, places[0], year, tracking)
+            report = day_report(days[0], reach)
+            written = write_day(days[0], report, paths, source, options, reach)
     more = f"more  -v; {next_step('report', paths[0].parent)}"
     show(report, "wrote " + ", ".join(str(path) for path in written), more)
     return AGREE  # exit status 0

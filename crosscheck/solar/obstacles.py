@@ -113,6 +113,24 @@ class Obstacles:
         """Solve the poses that face directions (n, 3), or come nearest to them."""
         return solve_poses(self._scene, axis=self._axis, towards=directions, measure=self._keys)
 
+    def facing(self, directions: Array) -> tuple[Poses, Checks]:
+        """Solve and examine the poses that face directions (n, 3).
+
+        The pose of a direction out of reach is not the nearest one, unless the mechanism has one degree of
+        freedom: such a mechanism cannot face most directions, and comes as near to them as it can.
+        """
+        poses = solve_poses(
+            self._scene,
+            axis=self._axis,
+            towards=directions,
+            measure=self._keys,
+            nearest=self._has_one_freedom,
+        )
+        checks = self.check(poses)
+        if self._has_one_freedom:
+            return poses, checks
+        return poses, checks._replace(cause=np.where(poses.reached, checks.cause, Cause.UNREACHABLE))
+
     def check(self, poses: Poses) -> Checks:
         """Examine n poses."""
         mechanism = self._scene.mechanism
@@ -211,13 +229,8 @@ class Obstacles:
 
     def _are_free(self, tilts: Array, azimuths: Array) -> Array:
         """Return an array (k,) that is True for free directions among those with given angles (k,), rad."""
-        directions = tilted(tilts, azimuths)
-        if self._has_one_freedom:
-            return np.asarray(self.check(self.poses(directions)).cause == Cause.FREE)
-        poses = solve_poses(
-            self._scene, axis=self._axis, towards=directions, measure=self._keys, nearest=False
-        )
-        return np.asarray((self.check(poses).cause == Cause.FREE) & poses.reached)
+        _, checks = self.facing(tilted(tilts, azimuths))
+        return np.asarray(checks.cause == Cause.FREE)
 
 
 def _nearest(directions: Array, azimuths: Array, tilts: Array, paired: bool = False) -> tuple[Array, Array]:

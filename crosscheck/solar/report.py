@@ -27,6 +27,7 @@ from crosscheck.report.table import (
 )
 from crosscheck.solar.day import Day, angles
 from crosscheck.solar.energy import FACING, FIXED, ONE_AXIS, THIS
+from crosscheck.solar.reach import Reach, reach_table
 from crosscheck.solar.tables import (
     actuators_table,
     error_table,
@@ -59,6 +60,9 @@ fixed panel, gains of this tracker and of other panels over the fixed one, and e
 DAY_FILES = ("sun.json", "set_points.csv", "motion.csv", "day.png", "day.rrd")
 """Names of the files of one day: summary, set-points, motion of the actuators, plots and recording."""
 
+REACH_FILES = ("reach.csv", "reach.png")
+"""Names of the files of the positions of the sun over a year, in addition to those of a day."""
+
 SURVEY_FILES = ("sun.json", "days.csv")
 """Names of the files of several days: summaries and table."""
 
@@ -82,8 +86,11 @@ def hours(day: Day) -> Iterator[list[str | Cell]]:
         ]
 
 
-def day_report(day: Day) -> Report:
-    """Report on one day: sun, set-points, irradiation, forces of actuators, and pointing error."""
+def day_report(day: Day, reach: Reach | None = None) -> Report:
+    """Report on one day: sun, set-points, irradiation, forces of actuators, and pointing error.
+
+    `reach` has the positions of the sun over the year, if they were computed.
+    """
     # Table of the hours: all hours, or (in the terminal) every second or third one. A set-point is named
     # after its joint
     units = {"azimuth": "deg", "elevation": "deg"}
@@ -110,6 +117,7 @@ def day_report(day: Day) -> Report:
     obstacles = obstacles_table(day)
     common: list[Part] = [irradiation_table, actuators_table(day), error_table(day)]
     common += [obstacles] if obstacles.rows else []
+    common += [reach_table(reach)] if reach else []
     lines = Lines("assumptions", list(assumptions(day)))
     parts: list[Part] = [hours_table, *common, joints_table(day), lines]
     summary: list[Part] = [short_table, *common]

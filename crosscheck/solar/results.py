@@ -16,6 +16,7 @@ from crosscheck.report.table import Report, Table
 from crosscheck.solar.day import Day
 from crosscheck.solar.energy import THIS
 from crosscheck.solar.obstacles import Cause
+from crosscheck.solar.reach import Reach, reach_csv, reach_picture
 from crosscheck.solar.tables import largest_at
 from crosscheck.support.files import write_files
 from newton_euler.analysis.loads.actuator_motions import actuator_motions
@@ -28,16 +29,22 @@ if TYPE_CHECKING:
 
 
 def write_day(
-    day: Day, report: Report, paths: Sequence[Path], source: str, options: Mapping[str, str]
+    day: Day,
+    report: Report,
+    paths: Sequence[Path],
+    source: str,
+    options: Mapping[str, str],
+    reach: Reach | None = None,
 ) -> list[Path]:
     """Write the summary, the set-points, the motion, the plots and the recording of a day: all files or none.
 
     Args:
         day: the day.
         report: the report on it.
-        paths: paths of the files, in the order of `crosscheck.solar.report.DAY_FILES`.
+        paths: paths of the files, in the order of `crosscheck.solar.report.DAY_FILES`, then `REACH_FILES`.
         source: name or file of the scene.
         options: options of the scene.
+        reach: positions of the sun over the year, or None.
 
     Raises:
         CrosscheckError: naming the path that cannot be written.
@@ -45,7 +52,7 @@ def write_day(
     from crosscheck.recording.log import log_run
     from crosscheck.recording.stream import recorded
 
-    summary, table, motion, plots, recording = paths
+    summary, table, motion, plots, recording, *reach_paths = paths
     text = f"# {report.title}\n\n{report.verdict}\n"
     # `sun_seen` has unit vectors (n, 3) to the sun, in the horizontal plane at night
     runs, directions = {"newton_euler": day.run}, {"sun": day.sun_seen}
@@ -53,12 +60,15 @@ def write_day(
         plots: png(picture(day)),
         recording: recorded(log_run, day.scene, runs, text, report.title, directions=directions),
     }
+    motions = motions_csv(actuator_motions(day.scene, day.motion)).encode()
+    tables = {table: table_of_set_points(day), motion: motions}
+    if reach:
+        tables[reach_paths[0]], pictures[reach_paths[1]] = reach_csv(reach), png(reach_picture(reach))
     content = {"source": source, "options": dict(options), **summary_of(day)}
     write_files(
         {
             summary: as_json(content, report, pictures),
-            table: table_of_set_points(day),
-            motion: motions_csv(actuator_motions(day.scene, day.motion)).encode(),
+            **tables,
             **pictures,
         }
     )
