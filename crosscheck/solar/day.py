@@ -219,7 +219,7 @@ class Day:
         assert self.poses.direction is not None
         faced, reached = self.faced.directions[previous], self.poses.direction[previous]
         return {
-            "one degree of freedom": angles(self.aim.direction, self.sun.direction),
+            "one axis only": angles(self.aim.direction, self.sun.direction),
             "limits of tilt, shadow and wind": angles(free_now, self.aim.direction),
             "the sun's way in a period": angles(free, free_now),
             "dead band": angles(held, free),
@@ -313,6 +313,23 @@ def pd_laws(scene: Scene) -> list[PD]:
     return laws
 
 
+def check_tracker(scene: Scene) -> None:
+    """Check that a scene can be simulated for a day.
+
+    Raises:
+        CrosscheckError: for other controllers than `PD`, and for forces or motions that vary with time: they
+            would keep the scene from coming to rest between set-points.
+    """
+    pd_laws(scene)
+    for field, index, attribute in scene.functions:
+        if field != "control":
+            element = getattr(scene, field)[index].element
+            raise CrosscheckError(
+                f"scene {scene.name!r}: {element} has a function of time ({attribute}); needed: forces and "
+                "motions that do not vary, so that the tracker rests between set-points"
+            )
+
+
 def following(scene: Scene, poses: Poses, period: float, tracking: Tracking) -> Followed:
     """Give a tracker set-points.
 
@@ -390,7 +407,7 @@ def tracker_day(
     """
     check_period(period)
     sun = sun_over(place, day_times(date, zone or place.zone, period))
-    pd_laws(scene)  # raises for other controllers, before poses are solved
+    check_tracker(scene)  # before poses are solved
     aim = aim_of(scene, axis, sun)
     wanted = tracking.normals(aim, wind)
     faced = face(scene, axis, wanted, tracking)

@@ -17,12 +17,12 @@ from typing import NamedTuple
 import numpy as np
 
 from crosscheck.solar.moves import Plan
+from crosscheck.solar.one_axis import turns_about_one_axis
 from crosscheck.solar.place import tilted
 from crosscheck.solar.tracking import UP, Tracking
 from mjcf.clearance import closest
 from newton_euler import Axis, Poses, Scene, solve_poses
 from newton_euler.analysis.kinematics.configurations import smallest_turns
-from newton_euler.equations.redundancy import mobility
 from newton_euler.model.joint import Key
 from newton_euler.scalars import Array
 
@@ -106,8 +106,8 @@ class Obstacles:
         self.can_avoid = bool(checks.cause[0] == Cause.FREE)
 
     @cached_property
-    def _has_one_freedom(self) -> bool:
-        return mobility(self._scene).degrees_of_freedom == 1
+    def _has_one_axis(self) -> bool:
+        return turns_about_one_axis(self._scene, self._axis)
 
     def poses(self, directions: Array) -> Poses:
         """Solve the poses that face directions (n, 3), or come nearest to them."""
@@ -124,10 +124,10 @@ class Obstacles:
             axis=self._axis,
             towards=directions,
             measure=self._keys,
-            nearest=self._has_one_freedom,
+            nearest=self._has_one_axis,
         )
         checks = self.check(poses)
-        if self._has_one_freedom:
+        if self._has_one_axis:
             return poses, checks
         return poses, checks._replace(cause=np.where(poses.reached, checks.cause, Cause.UNREACHABLE))
 
@@ -148,13 +148,13 @@ class Obstacles:
         """Return the free directions (m, 3) nearest to blocked ones.
 
         Free directions are those that the panel reaches from flat at a constant azimuth without an obstacle.
-        A mechanism with one degree of freedom turns back towards the flat pose.
+        A face that turns about one axis only turns back towards the flat pose.
 
         Args:
             wanted: (m, 3) directions that are blocked, east, north, up.
             reached: (m, 3) directions of the poses that come nearest to them.
         """
-        if self._has_one_freedom:
+        if self._has_one_axis:
             azimuth = np.arctan2(reached[:, 0], reached[:, 1])
             return tilted(self._largest_tilts(azimuth), azimuth)
         directions, which = np.unique(wanted.round(9), axis=0, return_inverse=True)

@@ -62,6 +62,8 @@ def error_table(day: Day) -> Table:
         *text_columns("at"),
         *number_columns("mean, deg"),
     ]
+    if not rows:
+        rows.append(["the panel never may", "", "", ""])
     return Table("pointing error just before each set-point, while the panel may face the sun", columns, rows)
 
 

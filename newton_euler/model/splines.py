@@ -223,8 +223,8 @@ class Moves(Piecewise):
 
     Examples:
         >>> moves = Moves(times=(0.0, 4.0, 10.0), values=(0.0, 0.3, 0.3), ramps=(1.0, 1.0))
-        >>> moves.rate(2.0).round(9), moves.acceleration(0.5).round(9), moves.value(7.0)
-        (np.float64(0.1), np.float64(0.1), 0.3)
+        >>> round(moves.rate(2.0), 9), round(moves.acceleration(0.5), 9), moves.value(7.0)
+        (0.1, 0.1, 0.3)
     """
 
     ramps: ArrayField
