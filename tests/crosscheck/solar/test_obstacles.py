@@ -9,7 +9,7 @@ from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker
 from crosscheck.solar.day import tracker_day
 from crosscheck.solar.moves import plan_moves
 from crosscheck.solar.obstacles import Cause, Obstacles, face
-from crosscheck.solar.place import Place, tilted
+from crosscheck.solar.place import Place, day_times, sun_over, tilted
 from crosscheck.solar.report import obstacles_table, verdict
 from crosscheck.solar.tracking import Tracking
 from mjcf.clearance import clearances, closest
@@ -142,3 +142,17 @@ def test_nothing_is_avoided_if_the_flat_panel_is_blocked():
 def test_an_axis_may_be_another_one():
     faced = face(sun_tracker(), Axis("panel_7", [0.0, 0.0, 2.0]), np.array([[0.0, 0.0, 1.0]]), Tracking())
     assert not faced.replaced.any()
+
+
+def test_leg_and_base_collide_for_19_minutes_of_an_afternoon():
+    """Set-points of each minute, with a clearance of 0, are those that `crosscheck workspace` counts as
+    collisions: 14:24 to 14:42."""
+    scene, tracking = sun_tracker(), Tracking(most_tilt=60.0, clearance=0.0)
+    sun = sun_over(Place(11.56, 104.92), day_times("2026-03-21", "UTC+07:00", 60.0)[860:885])
+    obstacles = Obstacles(scene, PANEL_NORMAL, tracking)
+    poses = obstacles.poses(tracking.towards(sun))
+    too_close = obstacles.check(poses).cause == Cause.COLLISION
+    overlapping = clearances(scene.mechanism, poses.position, poses.quaternion) < 0.0
+    assert np.array_equal(too_close, overlapping)
+    assert [f"{time:%H:%M}" for time in sun.times[too_close][[0, -1]]] == ["14:24", "14:42"]
+    assert too_close.sum() == 19
