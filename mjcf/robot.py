@@ -29,6 +29,7 @@ from mjcf.reading.xml_scan import FREE_TEXT, SourceError, read_texts
 from mjcf.settings import Names, settings
 from mjcf.transmission_places import Numbers, numbered, transmission_numbers
 from newton_euler.model.source_file import element_lines, path_text
+from newton_euler.reading.approximations import NO_LIMIT
 from newton_euler.reading.digits import VARIANTS, NumbersOfText
 from newton_euler.reading.robot import (
     FileBody,
@@ -235,7 +236,10 @@ class _Description:
             switched_off |= {"equality", "frictionloss", "limit"}
         is_off = switched_off.__contains__
         # MuJoCo's arrays with one row for each body or joint; lists are faster to read than arrays
-        self._limits = self._ranges(model.jnt_range, model.jnt_limited, is_off("limit"))
+        ranges = np.array(model.jnt_range)
+        no_limit = np.abs(ranges) >= NO_LIMIT
+        ranges[no_limit] = np.copysign(np.inf, ranges[no_limit])
+        self._limits = self._ranges(ranges, model.jnt_limited, is_off("limit"))
         self._efforts = self._ranges(model.jnt_actfrcrange, model.jnt_actfrclimited, False)
         dof = model.jnt_dofadr
         self._damping = (model.dof_damping[dof] * (not is_off("damper"))).tolist()

@@ -123,8 +123,8 @@ class ModelResult(BaseModel):
         first: kind of the first element that would have acted in the run and was not simulated, such as
             "limits".
         fates: number of elements of the file by the result of their import, one of `FATES`: "exactly",
-            "inactive" (not simulated, but would not have acted) or "left out". For an element with several
-            results, the worst one counts.
+            "inactive" (not simulated, but would not have acted), "approximated" or "left out". For an element
+            with several results, the worst one counts.
         covered: number of elements of the scene that the motion tests, as "3 of 4".
         lacks: description of the parts of the file that were not simulated.
         processor_time: CPU time of all processes of the command, s.

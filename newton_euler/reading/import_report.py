@@ -1,9 +1,9 @@
 """Import report: how each element of a model file was imported, and likely mistakes in the file.
 
 A reader (of MJCF or URDF files) adds an entry for each element while it turns the file into a `Scene`. The
-*fate* of an element is "exactly" (imported without change), "approximated" (simulated by a similar force),
-"left out" (not simulated) or "inactive" (not simulated, but a run has shown that the element would not have
-acted). Tests that judge this in a run are called *watches*, see `newton_euler.reading.activity`.
+*fate* of an element is "exactly" (imported without change), "inactive" (not simulated, but a run has shown
+that the element would not have acted), "approximated" (simulated by a similar force) or "left out" (not
+simulated). Tests that judge this in a run are called *watches*, see `newton_euler.reading.activity`.
 """
 
 from __future__ import annotations

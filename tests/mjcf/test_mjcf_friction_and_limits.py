@@ -113,6 +113,14 @@ def test_the_report_calls_them_approximated_and_runs_are_not_of_a_reduced_model(
     assert not default.scene.switched_forces
 
 
+def test_an_approximated_joint_counts_as_such_although_its_limits_are_inactive(tmp_path: Path) -> None:
+    path = block(tmp_path, 'frictionloss="2" range="-9 9"', speed=1.0)
+    found = read(path, friction="regularized", duration=0.3)
+    report = watched_in_new_run(found.scene, found.report)
+    assert [entry.topic for entry in report.of("inactive") if "joint" in entry.element] == [LIMITS]
+    assert report.counts() == "1 element is approximated"
+
+
 def test_each_option_takes_one_of_both(tmp_path: Path) -> None:
     path = block(tmp_path, 'frictionloss="2" range="-0.2 0.1"')
     (friction,) = read(path, friction="regularized").scene.forces
@@ -211,3 +219,18 @@ def test_a_run_without_what_the_scene_lacks_keeps_what_it_has(tmp_path: Path) ->
     assert {event.element.partition(" of ")[0] for event in events} == {LIMITS, FRICTION}
     reduced = simulation.run(simulation.settings, 1000, 10, reduced=True).trajectory
     assert reduced.position[-1, 1, 0] == pytest.approx(0.1, abs=2e-3)
+
+
+def test_small_motions_are_those_without_friction_and_limits(tmp_path: Path) -> None:
+    """MuJoCo's constraints would be modes of a file at rest that springs and dampers do not make."""
+    path = block(tmp_path, 'frictionloss="2" range="-0.2 0" stiffness="50" damping="3"')
+    rates = []
+    for found in (read(path), as_forces(path)):
+        simulation = found.report.simulation
+        assert simulation is not None
+        run = simulation.run(simulation.settings, 1, 1, reduced=True)
+        motions = simulation.small_motions(run, [0])
+        assert motions is not None
+        rates.append(motions.rates(0, simulation.settings))
+    assert rates[1] == pytest.approx(rates[0])
+    assert rates[0][1] == pytest.approx(np.array([-50.0, -3.0]) / 3.0, rel=1e-6)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import urdf
 from crosscheck.compare.changes import elements
 from crosscheck.library.scene_file import read_scene, write_scene
 from crosscheck.loading.convert import scene_report, write_as
+from crosscheck.loading.robots import describe_model
 from mjcf.model import MujocoScene
 from mjcf.reader import read as read_mjcf
 from newton_euler.model.forces import JointSpring
@@ -165,3 +167,15 @@ def test_a_difference_of_friction_or_of_a_limit_is_found(cart: Scene, tmp_path: 
     text = (output / "diff.json").read_text()
     assert "limits of rail" in text
     assert "dry friction of pivot: 0.3 against 0.4 N m" in text
+
+
+def test_a_written_mjcf_has_no_other_limits(cart: Scene, tmp_path: Path) -> None:
+    """A stop at one side alone, which MJCF does not have, is a range whose other end is far away."""
+    write_as(cart, tmp_path / "cart.xml", scene_report(cart))
+    described = [describe_model(str(tmp_path / name), {}).robot for name in ("cart.yaml", "cart.xml")]
+    numbers = [
+        {each.name: (each.friction, each.limits) for body in robot.bodies for each in body.joints}
+        for robot in described
+    ]
+    assert numbers[0] == numbers[1]
+    assert numbers[0]["pivot"] == (0.3, (-0.3, math.inf))
