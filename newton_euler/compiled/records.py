@@ -23,10 +23,10 @@ from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.row_choice import exchanged
 from newton_euler.integrators.constraint_ratio import Availability, ConstraintRatio
 from newton_euler.integrators.dense_projection import RESIDUAL_ROUND_OFF, Closing, closing_of, unprepared
-from newton_euler.integrators.dop853 import CONTROLS, Dop853
+from newton_euler.integrators.dop853_stages import CONTROLS, Dop853
 from newton_euler.integrators.fixed_step import FixedStep
 from newton_euler.integrators.options import FIXED, Options, max_adaptive_steps
-from newton_euler.integrators.radau import Radau
+from newton_euler.integrators.radau_stages import Radau
 from newton_euler.integrators.row_exchange import EXCHANGED, RowExchange, no_exchange
 from newton_euler.integrators.stepper import ANGLE, QUATERNION, QUATERNION_WITH_RATES, Equations, Table
 from newton_euler.integrators.switches import SAMPLES, Search, Switches, no_switches

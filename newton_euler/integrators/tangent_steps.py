@@ -31,7 +31,7 @@ from math import sqrt
 
 from newton_euler.codegen.native import Vector, native
 from newton_euler.codegen.native_functions import NativeFunctions
-from newton_euler.integrators.dop853 import (
+from newton_euler.integrators.dop853_stages import (
     ERROR_EXPONENT,
     FAILED_STEP_ERROR,
     MAX_STEP_FACTOR,

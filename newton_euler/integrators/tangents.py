@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from newton_euler.codegen.native import Callback, Record, Vector, native
-from newton_euler.integrators.dop853 import advance, prepare_dense
+from newton_euler.integrators.dop853_stages import advance, prepare_dense
 from newton_euler.integrators.dop853_tableau import NODES
 
 

@@ -13,7 +13,8 @@ from newton_euler import PD, compile_scene
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.integrators.constraint_ratio import no_ratio
 from newton_euler.integrators.lu import factor_complex, factor_real, solve_complex, solve_real, zero_block
-from newton_euler.integrators.radau import ALPHA, BETA, GAMMA, Radau, integrate_radau
+from newton_euler.integrators.radau import integrate_radau
+from newton_euler.integrators.radau_stages import ALPHA, BETA, GAMMA, Radau
 from newton_euler.integrators.row_exchange import no_exchange
 from newton_euler.integrators.status import Status
 from newton_euler.integrators.stepper import COUNTS, Count, Equations, Table
