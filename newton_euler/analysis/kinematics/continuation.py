@@ -215,7 +215,7 @@ def reachable(start: Configurations, configs: Configurations) -> Array:
 
     chain = start.chain
     # a determinant of the other sign lies beyond a singular configuration for sure, if no rows of the loops
-    # are redundant; the rows of an axis have no signs that can be compared
+    # are redundant; goals of an axis are left to the search
     candidates = np.arange(len(configs))
     if len(chain.independent) == len(chain.closing) and not chain.has_axis_goal:
         candidates = np.flatnonzero(_signs(configs) * _signs(start) >= 0.0)

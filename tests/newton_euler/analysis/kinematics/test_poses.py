@@ -211,7 +211,7 @@ def test_directions_that_only_a_jump_reaches_are_not_reached():
     of a radian used to jump past two singular configurations at once.
     """
     scene = load("tracker")
-    heights = np.arange(-0.16, 0.32, 0.008)
+    heights = np.arange(-0.16, 0.32, 0.012)
     mesh = np.meshgrid(heights, heights, indexing="ij")
     chain, _, goal = goals_of(
         scene, dict(zip(SLIDERS, map(np.ravel, mesh), strict=True)), NORMAL, None, (), None
@@ -235,16 +235,16 @@ def test_directions_that_only_a_jump_reaches_are_not_reached():
     regions, _ = label((reached & same_sign).reshape(mesh[0].shape))
     start = np.argmin(np.abs(heights))
     directions = configs.direction[(regions == regions[start, start]).ravel()]
-    goals = np.random.default_rng(1).normal(size=(120, 3))
+    goals = np.random.default_rng(1).normal(size=(50, 3))
     goals /= np.linalg.norm(goals, axis=1, keepdims=True)
     poses = solve_poses(scene, axis=NORMAL, towards=goals, measure=SLIDERS)
     angle = np.arccos(np.clip(np.max(goals @ directions.T, axis=1), -1.0, 1.0))
-    step = 0.15  # rad between the grid's directions at the edges of the region, where the normal turns fast
+    step = 0.2  # rad between the grid's directions at the edges of the region, where the normal turns fast
     assert np.max(angle[poses.reached]) < step
     assert poses.reached[angle < 0.02].all()
-    assert np.sum(poses.reached) > 20
+    assert np.sum(poses.reached) > 8
     others = poses.angle < 1e-9
-    assert np.sum(others & ~poses.reached) > 5  # poses on other branches, which are marked
+    assert np.sum(others & ~poses.reached) > 2  # poses on other branches, which are marked
     assert poses.beyond[others & ~poses.reached].all()
 
 
