@@ -146,6 +146,9 @@ def _approximate(scene: Scene, report: ImportReport, friction: str, stop: str) -
             if force.stribeck:
                 why = f"its Stribeck friction {force.stribeck:g}: the format has Coulomb friction alone"
                 report.left_out(force.element, why, topic="Stribeck friction")
+            if force.is_loaded:
+                why = "its friction that grows with the reaction: the format has Coulomb friction alone"
+                report.left_out(force.element, why, topic="load coefficient")
         else:
             report.approximated(force.element, f"as {stop}", LIMITS)
 

@@ -16,8 +16,8 @@ from crosscheck.compare.changes import elements
 from crosscheck.library.scene_file import read_scene, write_scene
 from crosscheck.loading.convert import scene_report, write_as
 from crosscheck.loading.robots import describe_model
-from mjcf.model import MujocoScene
 from mjcf.reader import read as read_mjcf
+from mjcf.rigid import RigidMuJoCo
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.scene import Scene
 from newton_euler.model.switched_forces import JointFriction, JointStop
@@ -36,7 +36,7 @@ joints:
 forces:
   - {kind: joint_spring, joint: pivot, stiffness: 5, damping: 0.1}
   - {kind: joint_friction, joint: rail, coulomb: 2.0, stribeck: 1.0, transition_speed: 0.002}
-  - {kind: joint_friction, joint: pivot, coulomb: 0.3}
+  - {kind: joint_friction, joint: pivot, coulomb: 0.3, load_coefficient: 0.01}
   - {kind: joint_stop, joint: rail, side: high, limit: 0.1, stiffness: 1.0e+5, dissipation: 1.5}
   - {kind: joint_stop, joint: rail, side: low, limit: -0.2, stiffness: 2.0e+5, dissipation: 0.5}
   - {kind: joint_stop, joint: pivot, side: low, limit: -0.3, stiffness: 4000}
@@ -85,6 +85,7 @@ def test_a_written_mjcf_has_friction_and_limits_of_the_same_softness(cart: Scene
     left_out = {(entry.element, entry.topic) for entry in report.of("left out") if entry.topic}
     assert left_out == {
         ("friction of joint 'rail'", "Stribeck friction"),
+        ("friction of joint 'pivot'", "load coefficient"),
         ("high stop of joint 'rail'", "stiffness"),
     }
 
@@ -106,7 +107,7 @@ def test_a_written_urdf_has_friction_and_limits(cart: Scene, tmp_path: Path) -> 
 
 def test_mujoco_as_an_engine_has_them_as_forces_alone(cart: Scene) -> None:
     """The constraints of a written file would act a second time."""
-    model = MujocoScene(cart).model
+    model = RigidMuJoCo(cart).model
     assert not model.jnt_limited.any()
     assert not model.dof_frictionloss.any()
 
