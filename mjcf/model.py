@@ -19,7 +19,7 @@ from mjcf.layout import Layout
 from mjcf.loops import body_velocity
 from mjcf.write import controls, welded_to_xml
 from newton_euler.equations.coupling_equations import TreeCouplings
-from newton_euler.equations.load_friction import EngineFriction, HeldFriction
+from newton_euler.equations.load_friction import EngineFriction, HeldFriction, loaded_frictions
 from newton_euler.equations.model_control import EngineControl, roles
 from newton_euler.equations.system import MassProperties, Observation
 from newton_euler.model.control import NO_FORCES, Readings, commands
@@ -111,7 +111,7 @@ class MujocoScene:
         # switched forces, and the indices in MuJoCo's qpos and qvel of their coordinates
         self._switched = SwitchedLoads(scene)
         self.held_friction: HeldFriction | None = None
-        self._friction = self.engine_friction(scene)
+        self._friction = self.engine_friction(scene) if loaded_frictions(scene) else None
         names = [coordinate_name(self.mechanism.joint(joint), k) for joint, k in self._switched.keys]
         switched_joints = np.array([self.model.joint(name).id for name in names], dtype=int)
         self._switched_q = self.model.jnt_qposadr[switched_joints]
@@ -229,6 +229,8 @@ class MujocoScene:
             """Compute the frictions that grow with reactions."""
             if self.held_friction is not None:
                 return self.held_friction
+            if self._friction is None:
+                return {}
             q, v = self.layout.to_qpos.T @ data.qpos, self.layout.to_qvel.T @ data.qvel
             return self._friction.forces(q, v, data.time, rates)
 
