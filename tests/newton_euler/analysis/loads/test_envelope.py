@@ -79,9 +79,8 @@ def test_static_reactions_of_the_ground_are_weight_and_wind():
 
 def states_of(run, rows):
     """Times, s, and states at some outputs; the last a little before, when functions jump at the end."""
-    arrays = run.position, run.quaternion, run.linear_velocity, run.angular_velocity
-    for k in rows:
-        yield min(run.time[k], run.time[-1] * (1.0 - 1e-11)), State(*(array[k] for array in arrays))
+    for k in rows.tolist():
+        yield min(run.time[k], run.time[-1] * (1.0 - 1e-11)), run.state(k)
 
 
 @pytest.mark.parametrize("name", [name for name in SCENES if name != "free_top"])  # it has no reactions
