@@ -41,8 +41,8 @@ SCREW_TRANSITION_SPEED = 1e-3
 ROTOR_INERTIA = 2e-6
 """Moment of inertia of a motor's rotor with its shaft and screw, kg m^2; 20 kg at the slider."""
 
-SHAFT_MASS, SHAFT_RADIUS = 0.04, 0.003
-"""Mass of a shaft, kg, and its radius for drawing, m."""
+SHAFT_MASS, SHAFT_LENGTH, SHAFT_RADIUS = 0.04, 0.1, 0.003
+"""Mass of a shaft, kg, its length, and its radius for drawing, m."""
 
 BEARING_FRICTION, BEARING_TRANSITION_SPEED = 1e-3, 2.0
 """Dry friction of the bearings of a shaft and of its motor, N m, and its transition speed, rad/s."""
@@ -53,8 +53,8 @@ RAIL_FRICTION, RAIL_STRIBECK = 0.4, 0.2
 RAIL_STRIBECK_SPEED, RAIL_TRANSITION_SPEED = 0.01, 2e-3
 """Speeds of the friction of a slider, m/s."""
 
-TRAVEL = (-0.015, 0.045)
-"""Coordinates of a slider at its stops, m from the initial pose."""
+TRAVEL = (-0.02, 0.07)
+"""Coordinates of a slider at its stops, m from the initial pose. They leave room for a day of the sun."""
 
 STOP_STIFFNESS, STOP_DISSIPATION = 1e5, 1.0
 """Stiffness of a stop, N/m, and coefficient of its damping, s/m."""
@@ -103,8 +103,8 @@ def _shaft(scene: Scene, slider: str) -> tuple[Body, Revolute]:
     """Return the shaft of a slider's motor, a body beside the rail, and its bearing on the ground."""
     joint = scene.mechanism.joint(slider)
     name = slider.removeprefix("slide_1")  # slide_12 has the rail of body 2
-    foot, top = joint.point * [1.0, 1.0, 0.0], joint.point * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.07]
-    across = 0.5 * SHAFT_MASS * SHAFT_RADIUS**2 + SHAFT_MASS * 0.07**2 / 12.0
+    foot, top = joint.point * [1.0, 1.0, 0.0], joint.point * [1.0, 1.0, 0.0] + [0.0, 0.0, SHAFT_LENGTH]
+    across = 0.5 * SHAFT_MASS * SHAFT_RADIUS**2 + SHAFT_MASS * SHAFT_LENGTH**2 / 12.0
     shaft = Body(
         f"shaft_{name}",
         SHAFT_MASS,

@@ -60,6 +60,7 @@ def tracker_sun_day(
     """
     # imported here, since other scenes need no solar positions
     from crosscheck.solar.day import following
+    from crosscheck.solar.geared import Geared
     from crosscheck.solar.place import Place, day_times, sun_over
     from crosscheck.solar.tracking import Tracking
 
@@ -76,6 +77,6 @@ def tracker_sun_day(
     tracker = sun_tracker()
     keys = [law.key for law in tracker.control]
     poses = solve_poses(tracker, axis=PANEL_NORMAL, towards=wanted, measure=keys)
-    scene = following(tracker, poses, 1.0, tracking).scene
+    scene = following(Geared.of(tracker), poses, 1.0, tracking).scene
     description = "solar tracker, the hour before noon at 300 times its pace, under gravity"
     return replace(scene, name="tracker_sun_day", output_period=0.05, description=description)

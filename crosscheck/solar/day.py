@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from crosscheck.solar.energy import THIS, ClearSky, over_day
+from crosscheck.solar.geared import Geared
 from crosscheck.solar.moves import Plan, plan_moves
 from crosscheck.solar.obstacles import Faced, Ways, face
 from crosscheck.solar.one_axis import aim_of
@@ -106,10 +107,12 @@ class Day:
         wanted: (n, 3) wanted directions of the panel's normal (east, north, up).
         faced: directions that the panel faces instead of those that are blocked, and the poses of the
             set-points, whose normal is as close to these directions as the mechanism allows.
-        loads: static loads of actuators and joints at these poses, under weight only.
+        loads: static loads of actuators and joints at these poses, under weight only; those of the followers
+            of gears, not of motors.
         tracking: rules of tracking: dead band, limits of tilt and shadow, and stowing in wind.
         plan: moves of the actuators between set-points.
         scene: the tracker with these moves as targets of its controllers.
+        geared: the gears between the controllers and the joints that move the panel.
         motion: simulated motion, with outputs at the times of the set-points, and during and after each move.
             The pose at the time of a set-point is that which the mechanism reached for the previous one.
         ways: clearances on the ways of long moves.
@@ -126,6 +129,7 @@ class Day:
     tracking: Tracking
     plan: Plan
     scene: Scene
+    geared: Geared
     motion: Trajectory
     ways: Ways
     axis: Axis
@@ -189,7 +193,8 @@ class Day:
     @property
     def set_points(self) -> Mapping[str, Array]:
         """Joint coordinates (n,) of the set-points by actuator, m or rad from the initial pose."""
-        return {name: self.poses.coordinates[key] for name, key in self.keys.items()}
+        geared = zip(self.keys, self.geared.keys, self.geared.ratios, strict=True)
+        return {name: self.poses.coordinates[key] / ratio for name, key, ratio in geared}
 
     @cached_property
     def normals(self) -> Array:
@@ -278,8 +283,9 @@ class Day:
         Negative work is not recovered. `actuators` has the energy of the simulated motion.
         """
         works = []
-        for force, x in zip(self.loads.actuator_force.T, self.set_points.values(), strict=True):
-            _, positive_work = work_and_energy(force, x)  # (n,) J, up to each set-point
+        for force, key in zip(self.loads.actuator_force.T, self.geared.keys, strict=True):
+            # (n,) J, up to each set-point
+            _, positive_work = work_and_energy(force, self.poses.coordinates[key])
             works.append(float(positive_work[-1]))
         return sum(works) / 3600.0
 
@@ -330,38 +336,40 @@ def check_tracker(scene: Scene) -> None:
             )
 
 
-def following(scene: Scene, poses: Poses, period: float, tracking: Tracking) -> Followed:
+def following(geared: Geared, poses: Poses, period: float, tracking: Tracking) -> Followed:
     """Give a tracker set-points.
 
     The feedforward of each PD controller is the static force of its set-point (`newton_euler.statics`), so
     that weight causes no steady-state error. In a move it changes in proportion to the position.
 
     Args:
-        scene: the tracker; all its controllers are `PD`.
-        poses: poses of the n set-points, with the coordinates of the controllers measured.
+        geared: the tracker, with the gears of its motors; all its controllers are `PD`.
+        poses: poses of the n set-points, with the coordinates `geared.keys` measured.
         period: time between set-points, s.
         tracking: gives the largest speed and acceleration of the set-points.
 
     Raises:
         CrosscheckError: if a controller of the scene is not `PD`.
     """
+    scene = geared.scene
     laws = pd_laws(scene)
-    keys = [law.key for law in laws]
-    loads = statics(scene, poses, keys)
+    loads = statics(geared.planned, poses, geared.keys)
     # moves from set-point to set-point
     times = period * np.arange(len(poses))
-    positions = np.stack([poses.coordinates[key] for key in keys], axis=1)
+    positions = np.stack([poses.coordinates[key] for key in geared.keys], axis=1)
     plan = plan_moves(times, positions, tracking.speed, tracking.acceleration)
     control = tuple(
         replace(
             law,
-            target=plan.function(position),
-            feedforward=plan.function(force),
+            target=plan.function(position / ratio),
+            feedforward=plan.function(force * ratio),
             gravity_compensation=False,  # the feedforward holds the weight
         )
-        for law, position, force in zip(laws, positions.T, loads.actuator_force.T, strict=True)
+        for law, ratio, position, force in zip(
+            laws, geared.ratios, positions.T, loads.actuator_force.T, strict=True
+        )
     )
-    start, end = poses.state(0), float(times[-1])
+    start, end = geared.start(poses), float(times[-1])
     driven = replace(scene, control=control, initial_state=start, duration=end, output_period=period)
     return Followed(driven, loads, plan)
 
@@ -408,10 +416,11 @@ def tracker_day(
     check_period(period)
     sun = sun_over(place, day_times(date, zone or place.zone, period))
     check_tracker(scene)  # before poses are solved
-    aim = aim_of(scene, axis, sun)
+    geared = Geared.of(scene)
+    aim = aim_of(geared.planned, axis, sun)
     wanted = tracking.normals(aim, wind)
-    faced = face(scene, axis, wanted, tracking)
-    scene, loads, plan = following(scene, faced.poses, period, tracking)
+    faced = face(geared.planned, axis, wanted, tracking)
+    scene, loads, plan = following(geared, faced.poses, period, tracking)
     if wind is not None and (load := wind_on_panel(scene, axis, scene.times, wind, wind_from)):
         scene = replace(scene, forces=(*scene.forces, load))
     scene = replace(scene, outputs=frozenset({"velocities", "actuation"}))
@@ -426,6 +435,7 @@ def tracker_day(
         tracking=tracking,
         plan=plan,
         scene=scene,
+        geared=geared,
         motion=motion,
         ways=faced.obstacles.ways(plan, faced.poses),
         axis=axis,

@@ -196,7 +196,8 @@ def assumptions(day: Day) -> Iterator[str]:
         wind = f"wind acts on {panel}, and each speed lasts until the next set-point"
     yield f"at night the panel waits in the position of the next morning; the base is fixed; {wind}"
     yield "clear sky (Ineichen, pvlib's turbidity), diffuse light of Hay and Davies, ground of albedo 0.2"
-    yield "energy of actuators is their positive mechanical work; no recuperation, no friction"
+    friction = "friction as in the scene" if day.scene.switched_forces else "no friction"
+    yield f"energy of actuators is their positive mechanical work; no recuperation, {friction}"
 
 
 def survey_report(days: Sequence[Day]) -> Report:
