@@ -9,6 +9,7 @@ the standard deviation of its measurement errors.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import asdict
 from itertools import combinations
 from typing import Any
 
@@ -123,6 +124,8 @@ def data(found: Identification) -> dict[str, Any]:
         "unlike": found.unlike,
         "in_degrees": found.in_degrees,
         "undetermined": found.undetermined,
+        "at_bound": found.at_bound,
+        "missing_friction": found.missing_friction and asdict(found.missing_friction),
         "stopped": found.stopped,
         "curvature": found.curvature,
         "contradiction": found.contradiction,

@@ -10,6 +10,11 @@ estimated from its residuals until the noise converges (`newton_euler.analysis.i
    scale is enlarged, because the initial value may be far too small.
 2. A fit of the identifiable combinations, whose effect exceeds the noise, without regularization. The other
    combinations return to their initial values.
+
+Parameters such as a friction or a damping have a smallest allowed value. If the residuals of a fit would
+become smaller below this value, the parameter is held at the value, and the other parameters are fitted again
+(an active-set method; J. Nocedal, S. J. Wright, Numerical Optimization, second edition, Springer 2006,
+section 16.5).
 """
 
 from __future__ import annotations
@@ -19,6 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from newton_euler.analysis.identification.friction import frictions_of
 from newton_euler.analysis.identification.noise import FINAL_CHANGE, ROUGH_CHANGE, Noise
 from newton_euler.analysis.identification.residuals import Residuals
 from newton_euler.analysis.sensitivity.tangent_starts import own_numbers
@@ -57,6 +63,10 @@ EDGE_DISTANCE = 1e-6
 """Distance from an invalid value, in units of the scale, within which a parameter counts as at the edge of
 its valid values. An example of an invalid value is a length with which loops cannot close."""
 
+BOUND_STD = 0.01
+"""Distance from the smallest allowed value, in standard deviations, up to which a parameter may be held at
+this value. It is held if the next Gauss-Newton step beyond the value is longer than the same distance."""
+
 MAX_GROWTH = 2.0
 """Largest ratio of a parameter to its scale; beyond, the scale is enlarged."""
 
@@ -82,6 +92,8 @@ class Fit:
         before: (p,) initial values of the parameters, those of the scene.
         scale: (p,) typical magnitudes of the parameters.
         units: (p,) units of the parameters.
+        smallest: (p,) smallest allowed values; -infinity for parameters without one.
+        is_held: (p,) True for parameters that are held at their smallest values.
         noise: noise of the measurements. `noise.effective` (n,) has the standard deviations that divide the
             residuals, SI: estimated, or given and enlarged if the scene does not explain the residuals.
         if_not_converged: message to use if `next_step` shows that the last fit has not converged.
@@ -97,6 +109,8 @@ class Fit:
         """
         self._evaluate, self.noise = residuals, Noise(residuals.runs)
         self.before, self.scale, self.units = _scales(scene, names)
+        self.smallest = _smallest_values(scene, names, self.scale)
+        self.is_held = np.zeros(len(names), dtype=bool)
         self.if_not_converged = ""
         self._invalid_text = ""  # error of the last invalid parameter values in the current fit
         # measured columns of angles that may be in degrees instead of rad, found before the fit
@@ -116,10 +130,53 @@ class Fit:
                 change, self.scale = np.zeros(len(change)), initial_scale
         # 2. identifiable combinations only
         for _ in range(MAX_FITS):
+            change, is_same = self._hold(change)
             change = self._fit_identifiable(self._project(change))
-            if np.abs(self._estimate_noise(change) - 1.0).max() < FINAL_CHANGE:
+            growth = self._estimate_noise(change)
+            if is_same and np.abs(growth - 1.0).max() < FINAL_CHANGE:
                 break
         return change
+
+    def split(self, change: Array) -> Split:
+        """Divide the space of parameters at a change (p,), see `split`.
+
+        Parameters that are held have zeros in all directions, and NaN in the covariance.
+        """
+        free = np.flatnonzero(~self.is_held)
+        if len(free) == len(change):
+            return split(self.jacobian(change))
+        part = split(self.jacobian(change)[:, free])
+        covariance = np.full((len(change), len(change)), np.nan)
+        covariance[np.ix_(free, free)] = part.covariance
+        strong, weak = (
+            np.insert(each, np.flatnonzero(self.is_held) - np.arange(self.is_held.sum()), 0.0, axis=1)
+            for each in (part.strong, part.weak)
+        )
+        return Split(strong, weak, covariance)
+
+    def _hold(self, change: Array) -> tuple[Array, bool]:
+        """Choose the parameters that are held at their smallest values.
+
+        Args:
+            change: (p,) change at which the choice is made.
+
+        Returns:
+            The change (p,) with these parameters at their smallest values, and True if the choice has not
+            changed.
+        """
+        jacobian, bounds = self.jacobian(change), self._bounds
+        deviations = np.minimum(np.sqrt(np.diag(split(jacobian).covariance)), UNDETERMINED_STD)
+        # steps of the parameters towards the smallest values, in standard deviations
+        steps = (jacobian.T @ self._weighted(change)) * deviations
+        is_held = (change - bounds < BOUND_STD * deviations) & (steps > BOUND_STD)
+        is_held |= self.is_held & (steps > -BOUND_STD)
+        is_same, self.is_held = bool(np.all(is_held == self.is_held)), is_held
+        return np.where(is_held, bounds, change), is_same
+
+    @property
+    def _bounds(self) -> Array:
+        """(p,) smallest allowed changes, in units of scales."""
+        return (self.smallest - self.before) / self.scale
 
     def _estimate_noise(self, change: Array) -> Array:
         """Estimate the noise from the residuals after a change (p,).
@@ -129,13 +186,13 @@ class Fit:
         """
         jacobian = self.jacobian(change)
         # derivatives with respect to identifiable combinations show how much of the noise the fit absorbs
-        fitted = jacobian @ split(jacobian).strong.T
+        fitted = jacobian @ self.split(change).strong.T
         return self.noise.estimate(self.residuals(change), fitted)
 
     def _fit_regularized(self, change: Array) -> Array:
         """Return the change (p,) of the regularized fit; enlarge scales that parameters exceed."""
         for _ in range(MAX_FITS):
-            change = self._minimize(change, np.eye(len(change)), regularization=1.0)
+            change = self._minimize(change, np.eye(len(change)), 1.0, self._bounds)
             larger = np.maximum(self.scale, np.abs(self.values(change)))
             if np.all(larger <= MAX_GROWTH * self.scale):
                 break
@@ -147,11 +204,11 @@ class Fit:
 
         The result is the change itself if the projected parameter values are invalid.
         """
-        strong, weak, _ = split(self.jacobian(change))
+        strong, weak, _ = self.split(change)
         if not len(weak):
             return change
         directions = strong / np.linalg.norm(strong, axis=1)[:, None]
-        part = np.asarray((directions @ change) @ directions)
+        part = np.where(self.is_held, change, (directions @ change) @ directions)
         try:
             self._evaluate(self.values(part))
         except NewtonEulerError:
@@ -165,25 +222,35 @@ class Fit:
         """
         previous, step = np.inf, self.next_step(change)
         while REPEATED_STD < step < 0.5 * previous:
-            strong = split(self.jacobian(change)).strong
-            directions = strong.T / np.linalg.norm(strong, axis=1)
-            change = self._minimize(change, directions, regularization=0.0)
+            strong, weak, _ = self.split(change)
+            directions, smallest = strong.T / np.linalg.norm(strong, axis=1), None
+            if not len(weak) and np.isfinite(self.smallest).any():
+                # single parameters as directions, because these can be bounded
+                directions = np.eye(len(change))[:, ~self.is_held]
+                smallest = self._bounds[~self.is_held]
+            change = self._minimize(change, directions, 0.0, smallest)
             previous, step = step, self.next_step(change)
         return change
 
-    def _minimize(self, initial: Array, basis: Array, regularization: float) -> Array:
+    def _minimize(self, initial: Array, basis: Array, regularization: float, smallest: Array | None) -> Array:
         """Minimize the sum of squared residuals, and of the squared change times a weight, over a subspace.
 
         Args:
             initial: (p,) change to begin with.
             basis: (p, k) directions in which the change may vary.
             regularization: square root of the weight of the change; 0 for no regularization.
+            smallest: (k,) smallest allowed changes along the directions, which are then single parameters;
+                None for directions that are not bounded.
         """
         from scipy.optimize import least_squares
 
         if not basis.size:
             return initial
         self._invalid_text = ""
+        lower = np.full(basis.shape[1], -np.inf)
+        if smallest is not None:
+            initial = np.maximum(initial, np.where(self.is_held, initial, self._bounds))
+            lower = 1.0 + smallest - initial @ basis
         initial_residuals = np.concatenate([self._weighted(initial), regularization * initial])
         penalty = INVALID_FACTOR * max(1.0, float(np.abs(initial_residuals).max()))
 
@@ -207,9 +274,8 @@ class Fit:
             """Compute the derivatives of `residuals` with respect to z."""
             return np.vstack([self.jacobian(change_of(z)) @ basis, regularization * basis])
 
-        solved = least_squares(
-            residuals, np.ones(basis.shape[1]), jacobian, max_nfev=MAX_EVALUATIONS, **TOLERANCES
-        )
+        begin, bounds = np.ones(len(lower)), (lower, np.inf)
+        solved = least_squares(residuals, begin, jacobian, bounds, max_nfev=MAX_EVALUATIONS, **TOLERANCES)
         is_limit = solved.status == 0
         reason = f"{MAX_EVALUATIONS} evaluations are used up" if is_limit else "steps are too small"
         self.if_not_converged = f"the fit has not converged: {self._invalid_text or reason}"
@@ -225,10 +291,10 @@ class Fit:
             The length in standard deviations; 0 for a step that is round-off.
         """
         jacobian = self.jacobian(change)
-        strong = split(jacobian).strong
+        strong = self.split(change).strong
         # minus the step, along directions whose lengths are standard deviations
         deviations = strong @ (jacobian.T @ self._weighted(change))
-        if np.abs(strong.T @ deviations).max() < STEP_ROUND_OFF:
+        if np.abs(strong.T @ deviations).max(initial=0.0) < STEP_ROUND_OFF:
             return 0.0
         return float(np.linalg.norm(deviations))
 
@@ -240,8 +306,9 @@ class Fit:
         """
         steps = EDGE_DISTANCE * np.eye(len(change))
         return [
-            not all(self._evaluate.can_start(self.values(change + signed)) for signed in (step, -step))
-            for step in steps
+            bool(is_held)
+            or not all(self._evaluate.can_start(self.values(change + signed)) for signed in (step, -step))
+            for step, is_held in zip(steps, self.is_held, strict=True)
         ]
 
     def curvature(self, change: Array) -> float:
@@ -252,7 +319,7 @@ class Fit:
         this distance are invalid.
         """
         jacobian = self.jacobian(change)
-        strong = split(jacobian).strong
+        strong = self.split(change).strong
         try:
             changes = [(self.jacobian(change + 2.0 * each) - jacobian) @ strong.T for each in strong]
         except NewtonEulerError:
@@ -271,7 +338,8 @@ class Fit:
 
     def values(self, change: Array) -> Array:
         """Return the parameters (p,), SI, after a change."""
-        return self.before + np.where(np.abs(change) > ROUND_OFF_CHANGE, change, 0.0) * self.scale
+        values = self.before + np.where(np.abs(change) > ROUND_OFF_CHANGE, change, 0.0) * self.scale
+        return np.where(np.abs(values - self.smallest) < ROUND_OFF_CHANGE * self.scale, self.smallest, values)
 
     def residuals(self, change: Array) -> Array:
         """Compute the residuals (n,), computed minus measured, SI, after a change (p,)."""
@@ -308,6 +376,25 @@ def _scales(scene: Scene, names: Sequence[str]) -> tuple[Array, Array, tuple[str
     return before, scale, units
 
 
+def _smallest_values(scene: Scene, names: Sequence[str], scale: Array) -> Array:
+    """Return the smallest allowed values (p,) of parameters, -infinity for parameters without one.
+
+    Args:
+        scene, names: the scene and the names of the parameters.
+        scale: (p,) typical magnitudes. A parameter that must be positive is at least `EDGE_DISTANCE` of it;
+            a Stribeck speed is at least the transition speed, below which friction is viscous.
+    """
+    smallest, initial = np.full(len(names), -np.inf), initial_numbers(scene, names)
+    for k, name in enumerate(names):
+        if name not in initial:
+            (place,) = places(scene, [name]).values()
+            smallest[k] = EDGE_DISTANCE * scale[k] if place.field.positive else place.field.least
+    for name, friction in frictions_of(scene, names).items():
+        if name == f"{friction.prefix}.stribeck_speed":
+            smallest[names.index(name)] = min(friction.stribeck_speed, friction.transition_speed)
+    return smallest
+
+
 class Split(NamedTuple):
     """The space of p parameters, in units of their scales, divided by identifiability.
 
@@ -330,7 +417,7 @@ def split(jacobian: Array) -> Split:
     """
     # the standard deviation of a right singular vector is 1 / singular value
     _, values, right = np.linalg.svd(jacobian, full_matrices=False)
-    smallest = RANK_TOL * values[0]
+    smallest = RANK_TOL * values.max(initial=0.0)
     is_strong = (values > smallest) & (values * UNDETERMINED_STD > 1.0)
     weak = right[~is_strong]
     scaled = right / np.maximum(values, smallest or 1.0)[:, None]

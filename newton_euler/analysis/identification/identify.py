@@ -18,8 +18,14 @@ from typing import Unpack
 
 import numpy as np
 
-from newton_euler.analysis.identification.fit import CONVERGED_STD, Fit, split
+from newton_euler.analysis.identification.fit import CONVERGED_STD, Fit
+from newton_euler.analysis.identification.friction import frictions_of, sticking
 from newton_euler.analysis.identification.measurements import Measurements, measurements_from_csv
+from newton_euler.analysis.identification.missing_friction import (
+    FitInputs,
+    MissingFriction,
+    missing_friction,
+)
 from newton_euler.analysis.identification.noise import MIN_PROBABILITY
 from newton_euler.analysis.identification.residuals import Residuals
 from newton_euler.analysis.sensitivity.sensitivities import checked_names
@@ -83,6 +89,10 @@ class Identification:
         in_degrees: columns of rad or rad/s that fit as degrees.
         undetermined: a line for each combination of parameters, and for each noise, that the data do not
             determine.
+        at_bound: names of parameters at their smallest allowed values, such as a friction of 0. The residuals
+            would be smaller below these values. The other parameters are fitted with these values.
+        missing_friction: dry friction that the scene does not have and that would explain the residuals of a
+            wrong scene; None if there is none.
         stopped: reason why the fit ended before it converged; empty if it converged.
         curvature: relative change of the derivatives two standard deviations away, root mean square. Above
             `MAX_CURVATURE` the covariance is valid for single parameters, not for all together.
@@ -116,6 +126,8 @@ class Identification:
     unlike: tuple[str, ...]
     in_degrees: tuple[str, ...]
     undetermined: tuple[str, ...]
+    at_bound: tuple[str, ...]
+    missing_friction: MissingFriction | None
     stopped: str
     curvature: float
     contradiction: str
@@ -189,6 +201,8 @@ class Identification:
                 "do not trust these values",
                 f"largest residuals: {worst}, {self.misfits[worst]:.3g} times its noise",
             ]
+        if self.missing_friction:
+            lines += self.missing_friction.report()
         lines += [f"{name}: a constant fits better than the scene" for name in self.unlike]
         lines += [f"{name} fits in degrees: add [deg] to its name?" for name in self.in_degrees]
         return [*lines, *self.undetermined, *[self.stopped] * bool(self.stopped)]
@@ -197,6 +211,10 @@ class Identification:
     def notes(self) -> list[str]:
         """Lines on measurements that contradict the start of a run, and on limits of the covariance."""
         lines = [self.contradiction] if self.contradiction else []
+        for name, unit, value in zip(self.parameters, self.units, self.values, strict=True):
+            if name in self.at_bound:
+                smallest = f"{value:.3g} {unit}".rstrip()
+                lines.append(f"{name} is at its smallest allowed value, {smallest}: smaller would fit better")
         if not self.is_wrong and self.curvature > MAX_CURVATURE:
             lines.append("the confidence region is curved: deviations hold for single parameters only")
         return lines
@@ -253,24 +271,39 @@ def identify(
     # change of the parameters from their initial values, and its combinations that are not identifiable
     # (`weak`), in units of the typical magnitudes of the parameters (`fit.scale`)
     change, noise = fit.solve(), fit.noise
-    _, weak, covariance = split(fit.jacobian(change))
+    _, weak, covariance = fit.split(change)
     values = fit.values(change)
     stopped = fit.if_not_converged if fit.next_step(change) > CONVERGED_STD else ""
     # covariance: infinite for combinations that are not identifiable, NaN for a wrong scene or at an edge of
-    # valid values; a fit that has converged is not at an edge
-    is_at_edge = fit.is_at_edge(change) if stopped else [False] * len(names)
+    # valid values
+    is_at_edge = fit.is_at_edge(change) if stopped else fit.is_held.tolist()
     is_not_identifiable = np.any(np.abs(weak) > FACTOR_TOLERANCE, axis=0) | bool(noise.undetermined)
+    is_wrong, fitted = noise.probability < MIN_PROBABILITY, dict(zip(names, values.tolist(), strict=True))
+    fitted_scene = with_parameters(scene, fitted)
+    # dry friction of joints that stick, and friction that a wrong scene does not have
+    stuck, missing = dict[str, list[str]](), None
+    if is_wrong or frictions_of(scene, names):
+        rates = measured.joint_rates(values)
+        stuck = sticking(fitted_scene, names, rates)
+        if is_wrong:
+            inputs = FitInputs(scene, runs, formulation)
+            missing = missing_friction(inputs, fitted, rates, noise.effective, noise.misfit)
+    is_not_identifiable |= np.isin(names, [name for each in stuck.values() for name in each])
     for k in np.flatnonzero(is_not_identifiable | is_at_edge):
         covariance[k, :] = covariance[:, k] = np.nan
         covariance[k, k] = np.nan if is_at_edge[k] else np.inf
-    if noise.probability < MIN_PROBABILITY:
+    if is_wrong:
         covariance[:] = np.nan
+    of_stuck = [
+        f"joint {joint} sticks in all runs: {' and '.join(each)} not identifiable"
+        for joint, each in stuck.items()
+    ]
     unknown_noise = [
         f"the noise of {name} is not identifiable from its residuals" for name in noise.undetermined
     ]
     residuals = fit.residuals(change)
     found = Identification(
-        scene=with_parameters(scene, dict(zip(names, values.tolist(), strict=True))),
+        scene=fitted_scene,
         parameters=names,
         units=fit.units,
         before=fit.before,
@@ -287,7 +320,9 @@ def identify(
         residuals=measured.by_column(-residuals),
         unlike=measured.unlike(residuals),
         in_degrees=fit.in_degrees(change),
-        undetermined=(*_describe_weak(names, values, fit, weak), *unknown_noise),
+        undetermined=(*_describe_weak(names, values, fit, weak), *of_stuck, *unknown_noise),
+        missing_friction=missing,
+        at_bound=tuple(np.array(names)[fit.is_held].tolist()),
         stopped=stopped,
         contradiction=measured.contradiction(values),
         curvature=fit.curvature(change),  # evaluated last: it moves to other values

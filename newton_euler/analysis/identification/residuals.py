@@ -30,6 +30,7 @@ from newton_euler.compiled.equations import CACHED_SCENES
 from newton_euler.equations.undetermined import is_undetermined, redundancy_text, undetermined_joints
 from newton_euler.errors import MechanismError, NewtonEulerError, UnknownNameError
 from newton_euler.integrators.options import FormulationName, Options
+from newton_euler.model.joint import Key
 from newton_euler.model.scene import OUTPUTS, Scene
 from newton_euler.model.source_file import SourceError
 from newton_euler.model.trajectory import QUANTITIES
@@ -61,6 +62,10 @@ counts as constant."""
 CONTRADICTION_STD = 6.0
 """Distance of a measured first row from the start of the run, in standard deviations of the noise, that is no
 coincidence: its probability is 1e-9."""
+
+
+RATE_SAMPLES = 1000
+"""Number of parts of a run, up to the last measured time, in which mean rates of joints are computed."""
 
 
 class ResidualValues(NamedTuple):
@@ -119,7 +124,7 @@ class Residuals:
         Raises:
             SourceError: for an unknown column, a column that is not unique, or a wrong unit.
         """
-        self.runs, self.evaluations = list(runs.values()), 0
+        self.runs, self.evaluations, self._options = list(runs.values()), 0, options
         # beginnings of messages: the name of the run if there are several
         self._prefixes = [f"{where}: " * (len(runs) > 1) for where in runs]
         # code with the outputs that the measured columns need
@@ -173,6 +178,24 @@ class Residuals:
         except NewtonEulerError:
             return False
         return True
+
+    def joint_rates(self, values: Array) -> dict[Key, Array]:
+        """Simulate all runs with parameter values (p,), and compute rates of joint coordinates, SI.
+
+        Returns:
+            (k,) for each joint coordinate: mean rates in `RATE_SAMPLES` parts of equal length of each run.
+        """
+        mechanism, parts = self.code.scene.mechanism, []
+        keys = list(mechanism.coordinate_labels)
+        for run, (starts, _) in zip(self.runs, self._models, strict=True):
+            times = np.linspace(0.0, run.time[-1], 1 + RATE_SAMPLES)
+            found = TangentRun(self.code, self._options, ["coordinates"])(*starts(values), times)
+            # the program returns coordinates, their rates, and the derivatives of both
+            changes = np.diff(found.derivatives["coordinates"][:, : len(keys), 0], axis=0)
+            is_angle = [not mechanism.is_slide(*key) for key in keys]
+            changes[:, is_angle] -= 2.0 * np.pi * np.round(changes[:, is_angle] / (2.0 * np.pi))
+            parts.append(changes / times[1])
+        return dict(zip(keys, np.concatenate(parts).T, strict=True))
 
     def by_column(self, numbers: Array) -> tuple[dict[str, Floats], ...]:
         """Split numbers (n,) into columns: for each run, the numbers of each column by name."""
