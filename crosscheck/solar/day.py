@@ -40,6 +40,9 @@ REST_RATE = 1e-8
 """Rates of all coordinates and velocities, SI, below which the tracker counts as at rest: the simulation
 skips to the next set-point."""
 
+LARGE_ANGLE = 10.0
+"""Set-point, rad, above which those of an actuator are printed in rad and not in mrad."""
+
 DEFAULT_TRACKING = Tracking()
 """Rules of tracking of `tracker_day` if the caller gives none."""
 
@@ -189,6 +192,13 @@ class Day:
     def is_slide(self, actuator: str) -> bool:
         """Return True if the set-points of an actuator are in m, False if they are in rad."""
         return self.scene.mechanism.is_slide(*self.keys[actuator])
+
+    def scale(self, actuator: str) -> tuple[float, str]:
+        """Return the factor and the unit of the printed set-points of an actuator: mm, mrad, or rad for
+        motors that turn far."""
+        if self.is_slide(actuator):
+            return 1e3, "mm"
+        return (1.0, "rad") if np.abs(self.set_points[actuator]).max() > LARGE_ANGLE else (1e3, "mrad")
 
     @property
     def set_points(self) -> Mapping[str, Array]:

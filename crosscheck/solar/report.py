@@ -70,16 +70,17 @@ SURVEY_FILES = ("sun.json", "days.csv")
 def hours(day: Day) -> Iterator[list[str | Cell]]:
     """Yield a table row for each whole hour in which the sun is up.
 
-    A row has the time, azimuth and elevation of the sun, set-points in mm or mrad, tilt of the panel, angle
-    between the panel's normal and the sun, and the wind speed if there is wind.
+    A row has the time, azimuth and elevation of the sun, set-points in the units of `Day.scale`, tilt of the
+    panel, angle between the panel's normal and the sun, and the wind speed if there is wind.
     """
+    factors = {name: day.scale(name)[0] for name in day.set_points}
     is_whole_hour = (day.sun.times.minute == 0) & (day.sun.times.second == 0)
     for k in np.flatnonzero(is_whole_hour & day.sun.is_up):
         yield [
             f"{day.sun.times[k]:%H:%M}",
             f"{np.degrees(day.sun.azimuth[k]):.1f}",
             f"{np.degrees(day.sun.elevation[k]):.1f}",
-            *(f"{1e3 * values[k]:.2f}" for values in day.set_points.values()),
+            *(f"{factors[name] * values[k]:.2f}" for name, values in day.set_points.items()),
             f"{np.degrees(np.arccos(np.clip(day.normals[k, 2], -1.0, 1.0))):.1f}",
             f"{np.degrees(day.errors[k]):.2f}",
             *([] if day.wind is None else [f"{day.wind[k]:.1f}"]),
@@ -94,7 +95,7 @@ def day_report(day: Day, reach: Reach | None = None) -> Report:
     # Table of the hours: all hours, or (in the terminal) every second or third one. A set-point is named
     # after its joint
     units = {"azimuth": "deg", "elevation": "deg"}
-    units |= {name: "mm" if day.is_slide(name) else "mrad" for name in day.set_points}
+    units |= {name: day.scale(name)[1] for name in day.set_points}
     units |= {"tilt": "deg", "off sun": "deg"} | ({} if day.wind is None else {"wind": "m/s"})
     columns = [
         *text_columns("time"),

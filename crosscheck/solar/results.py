@@ -197,8 +197,9 @@ def picture(day: Day) -> Figure:
     errors = {"all together": day.errors, **day.error_parts}
     shown = {name: np.where(up, np.degrees(values), np.nan) for name, values in errors.items()}
     draw(error_plot, {name: e for name, e in shown.items() if np.nanmax(e) > 1e-3}, "pointing error, deg")
-    units = sorted({"mm" if day.is_slide(name) else "mrad" for name in day.set_points})
-    lines = {name: 1e3 * values for name, values in day.set_points.items()}
+    scales = {name: day.scale(name) for name in day.set_points}
+    units = sorted({unit for _, unit in scales.values()})
+    lines = {name: scales[name][0] * values for name, values in day.set_points.items()}
     draw(set_point_plot, lines, f"set-points, {' and '.join(units)}")
     forces: dict[str, Array] = {}
     for name, actuator in day.actuators.items():

@@ -24,7 +24,13 @@ def actuators_table(day: Day) -> Table:
             row += ["", ""] if k is None else [f"{abs(forces[k]):.4g}", f"{day.sun.times[k]:%H:%M}"]
         speed, power = (float(np.max(np.abs(values))) for values in (actuator.speed, actuator.power))
         rows.append(
-            [*row, actuator.unit, f"{1e3 * speed:.3g}", f"{1e3 * power:.3g}", f"{actuator.energy:.3g}"]
+            [
+                *row,
+                actuator.unit,
+                f"{day.scale(name)[0] * speed:.3g}",
+                f"{1e3 * power:.3g}",
+                f"{actuator.energy:.3g}",
+            ]
         )
     columns = [
         *text_columns("actuator"),
@@ -38,9 +44,8 @@ def actuators_table(day: Day) -> Table:
 
 
 def speed_units(day: Day) -> list[str]:
-    """Return the units of the speeds of actuators: mm/s for slides, mrad/s for hinges."""
-    units = {"mm/s" if day.scene.mechanism.is_slide(*law.key) else "mrad/s" for law in day.scene.control}
-    return sorted(units)
+    """Return the units of the speeds of actuators, those of their set-points per second."""
+    return sorted({f"{day.scale(name)[1]}/s" for name in day.set_points})
 
 
 def largest_at(forces: Array) -> int | None:
