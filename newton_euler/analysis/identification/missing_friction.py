@@ -155,14 +155,40 @@ def missing_friction(
     target, of_friction, of_others = _unfitted_part(
         inputs, replace(sprung, forces=(*sprung.forces, *frictions)), fitted, coulomb, others, deviations
     )
-    chosen, least = _forward_selection(target, of_friction, is_positive=True)
-    if least > MAX_FIRST_ORDER * float(target @ target):
+    # joints with control laws first, because friction of their drives is the most likely
+    driven = {key for law in scene.control for key in law.keys}
+    is_driven = np.array([friction.key in driven for friction in frictions])
+    for columns in (np.where(is_driven, of_friction, 0.0), of_friction):
+        chosen, least = _forward_selection(target, columns, is_positive=True)
+        if least <= MAX_FIRST_ORDER * float(target @ target):
+            best = _with_friction(inputs, fitted, [frictions[k] for k in chosen], misfit)
+            if best is not None:
+                break
+    else:
         return None
-    # fits with friction of one joint, then of two
-    best, limit = None, EXPLAINED * misfit
-    for count in range(1, 1 + len(chosen)):
-        added = [frictions[k] for k in chosen[:count]]
-        names = [coulomb[k] for k in chosen[:count]]
+    # a fit with as many other parameters
+    alternative, _ = _forward_selection(target, of_others, is_positive=False)
+    rival = _fit(inputs, sprung, fitted, [others[k] for k in alternative[: len(best.coulomb)]])
+    return best if best.misfit < ADVANTAGE * rival.misfit else None
+
+
+def _with_friction(
+    inputs: FitInputs, fitted: Iterable[str], frictions: Sequence[JointFriction], misfit: float
+) -> MissingFriction | None:
+    """Repeat a fit with friction of the first joint, then of the first two, and so on.
+
+    Args:
+        inputs, fitted: scene and measurements of the fit, and names of the fitted parameters.
+        frictions: elements to add to the scene, the most likely one first.
+        misfit: reduced chi of the fit without friction.
+
+    Returns:
+        The friction that explains the residuals, of no more joints than necessary; None if it does not.
+    """
+    best, limit, scene = None, EXPLAINED * misfit, inputs.scene
+    for count in range(1, 1 + len(frictions)):
+        added = frictions[:count]
+        names = [f"{friction.prefix}.coulomb" for friction in added]
         found = _fit(inputs, replace(scene, forces=(*scene.forces, *added)), fitted, names)
         if found.misfit < limit:
             labels = [scene.mechanism.coordinate_labels[friction.key] for friction in added]
@@ -170,12 +196,7 @@ def missing_friction(
             limit = ADVANTAGE * found.misfit
         if found.probability >= MIN_PROBABILITY:
             break
-    if best is None:
-        return None
-    # a fit with as many other parameters
-    alternative, _ = _forward_selection(target, of_others, is_positive=False)
-    rival = _fit(inputs, sprung, fitted, [others[k] for k in alternative[: len(best.coulomb)]])
-    return best if best.misfit < ADVANTAGE * rival.misfit else None
+    return best
 
 
 class _Fitted(NamedTuple):
@@ -264,7 +285,7 @@ def _forward_selection(target: Array, columns: Array, is_positive: bool) -> tupl
     chosen, least = list[int](), float(target @ target)
     for _ in range(MAX_JOINTS):
         sums = np.full(columns.shape[1], np.inf)
-        for k in set(range(columns.shape[1])) - set(chosen):
+        for k in set(np.flatnonzero(columns.any(axis=0)).tolist()) - set(chosen):
             used = columns[:, [*chosen, k]]
             change, *_ = np.linalg.lstsq(used, -target)
             if not is_positive or change.min() > 0.0:
