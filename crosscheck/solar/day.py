@@ -40,6 +40,9 @@ REST_RATE = 1e-8
 """Rates of all coordinates and velocities, SI, below which the tracker counts as at rest: the simulation
 skips to the next set-point."""
 
+MAX_DEVIATION = float(np.radians(1.0))
+"""Angle, rad, between a panel and its set-point above which the report warns of it."""
+
 LARGE_ANGLE = 10.0
 """Set-point, rad, above which those of an actuator are printed in rad and not in mrad."""
 
@@ -242,6 +245,12 @@ class Day:
             "reach of the mechanism": angles(reached, faced),
             "motion, control and wind load": angles(self.normals, reached),
         }
+
+    @cached_property
+    def off_set_points(self) -> Array:
+        """(n,) True where the panel is more than `MAX_DEVIATION` off its set-point, although it had a period
+        to come there: controllers are too soft, a move is too long, or the wind turns the panel over."""
+        return self.error_parts["motion, control and wind load"] > MAX_DEVIATION
 
     @property
     def stowed(self) -> Array:

@@ -25,7 +25,7 @@ from crosscheck.report.table import (
     number_columns,
     text_columns,
 )
-from crosscheck.solar.day import Day, angles
+from crosscheck.solar.day import MAX_DEVIATION, Day, angles
 from crosscheck.solar.energy import FACING, FIXED, ONE_AXIS, THIS
 from crosscheck.solar.reach import Reach, reach_table
 from crosscheck.solar.tables import (
@@ -123,7 +123,7 @@ def day_report(day: Day, reach: Reach | None = None) -> Report:
     parts: list[Part] = [hours_table, *common, joints_table(day), lines]
     summary: list[Part] = [short_table, *common]
     title = f"{day.scene.name} on {day.sun.times[0]:%Y-%m-%d} at {day.place} ({day.sun.times.tz})"
-    judged = Cell("followed", verdict="holds")
+    judged = Cell("not followed", "fails") if day.off_set_points.any() else Cell("followed", "holds")
     return Report(title, verdict(day), judged, parts, day.run.wall_time, summary)
 
 
@@ -141,9 +141,22 @@ def verdict(day: Day) -> str:
     if day.wind is not None and np.isfinite(day.tracking.stow):
         flat_hours = day.hours(day.sun.is_up & day.stowed)
         text += f"; lies flat for {flat_hours:.1f} h of daylight, in winds from {day.tracking.stow:g} m/s on"
+    if day.off_set_points.any():
+        text += f"; {deviation_text(day)}"
     if day.faced.replaced.any():
         text += f"; {obstacles_text(day)}"
     return f"{text}; {forces_text(day)}"
+
+
+def deviation_text(day: Day) -> str:
+    """Report in a clause how far and how long the panel is off its set-points."""
+    deviations = day.error_parts["motion, control and wind load"]
+    k = int(np.argmax(deviations))
+    return (
+        f"for {day.hours(day.off_set_points):.1f} h it is more than {np.degrees(MAX_DEVIATION):g} deg off "
+        f"its set-points, up to {np.degrees(deviations[k]):.1f} deg at {day.sun.times[k]:%H:%M}: gains are "
+        "too small, moves too long, or the wind turns the panel over"
+    )
 
 
 def obstacles_text(day: Day) -> str:

@@ -11,6 +11,7 @@ from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker
 from crosscheck.solar.day import tracker_day
 from crosscheck.solar.geared import Geared
 from crosscheck.solar.place import Place
+from crosscheck.solar.report import day_report
 from crosscheck.solar.tracking import Tracking
 from crosscheck.support.errors import CrosscheckError
 
@@ -62,3 +63,20 @@ def test_a_follower_needs_to_be_actuated():
 def replace_joints(mechanism, joints):
     """Return the mechanism with other joints."""
     return type(mechanism)(mechanism.bodies, joints, mechanism.couplings)
+
+
+def test_a_panel_off_its_set_points_is_not_called_followed():
+    """With the gains of the paper, 50 N/m, the loads of a wind of 8 m/s move the sliders by centimeters."""
+    soft = replace(load("tracker_gravity"), name="soft")
+    wind = np.full(25, 8.0)
+    day = tracker_day(soft, PANEL_NORMAL, PLACE, DATE, None, Tracking(most_tilt=30.0), PERIOD, wind, 90.0)
+    assert day.off_set_points.any()
+    report = day_report(day)
+    assert report.judged.verdict == "fails"
+    assert "off its set-points" in report.verdict
+
+
+def test_a_stiff_tracker_follows(days):
+    for day in days:
+        assert not day.off_set_points.any()
+        assert day_report(day).judged.verdict == "holds"
