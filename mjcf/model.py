@@ -116,6 +116,7 @@ class MujocoScene:
         switched_joints = np.array([self.model.joint(name).id for name in names], dtype=int)
         self._switched_q = self.model.jnt_qposadr[switched_joints]
         self._switched_v = self.model.jnt_dofadr[switched_joints]
+        self.applied_elastic = np.zeros(len(self._switched_v))  # parts of the forces that were last applied
         # inverse dynamics, if a control law uses a model of the mechanism (`roles` lists such laws)
         self._model_control = self.engine_control(scene) if roles(scene) else None
         self.set_controls()
@@ -232,15 +233,16 @@ class MujocoScene:
             if self._friction is None:
                 return {}
             q, v = self.layout.to_qpos.T @ data.qpos, self.layout.to_qvel.T @ data.qvel
-            return self._friction.forces(q, v, data.time, rates)
+            return self._friction.forces(self.scene, q, v, data.time, rates)
 
         return self._switched.evaluate(data.qpos[self._switched_q], data.qvel[self._switched_v], friction)
 
     def set_switched_forces(self, data: Any) -> None:
         """Apply switched forces to MuJoCo's joints, for the coordinates and rates in `data`."""
         if len(self._switched_v):
+            forces, self.applied_elastic, _ = self.switched_loads(data)
             data.qfrc_applied[:] = 0.0
-            np.add.at(data.qfrc_applied, self._switched_v, self.switched_loads(data)[0])
+            np.add.at(data.qfrc_applied, self._switched_v, forces)
 
     def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
         """Return value, m or rad, and rate of each coordinate that control laws measure (`Scene.sensed`)."""

@@ -239,7 +239,7 @@ class SoftMuJoCo(EvaluatedScene):
         """Return the generalized forces (nv,) of switched forces, without their springs."""
         forces = np.array(self.data.qfrc_applied)
         if len(self._switched_v):
-            np.subtract.at(forces, self._switched_v, self.switched_loads(self.data)[1])
+            np.subtract.at(forces, self._switched_v, self.applied_elastic)
         return forces
 
     def _applied_forces(self, v0: Array) -> Array:

@@ -284,7 +284,7 @@ class PinocchioSystem:
             """Compute the frictions that grow with reactions."""
             if self.held_friction is not None:
                 return self.held_friction
-            return self._friction.forces(q, v, self.time, rates)
+            return self._friction.forces(self.scene, q, v, self.time, rates)
 
         return self._switched.evaluate(q[self._switched_q], v[self._switched_v], friction)
 

@@ -88,6 +88,7 @@ def _eliminated(rows: list[list[Scalar]], right: list[Scalar]) -> list[Scalar]:
 class FrictionModel(Protocol):
     """Equations of motion of an engine, with frictions that are given."""
 
+    scene: Scene
     time: Scalar
     held_friction: HeldFriction | None
 
@@ -105,6 +106,7 @@ class EngineFriction:
         self._joints = [scene.mechanism.joint_index(element.joint) for element in self.elements]
         self._model: FrictionModel | None = None
         self._last: tuple[Any, dict[str, float]] = None, {}
+        self._last_scene = scene
 
     @property
     def model(self) -> FrictionModel:
@@ -112,18 +114,21 @@ class EngineFriction:
         self._model = self._model or self._build(self._scene)
         return self._model
 
-    def forces(self, q: Array, v: Array, time: float, rates: Sequence[float]) -> dict[str, float]:
+    def forces(
+        self, scene: Scene, q: Array, v: Array, time: float, rates: Sequence[float]
+    ) -> dict[str, float]:
         """Compute the frictions, N or N m, by identity; the result for the last state is reused.
 
         Args:
+            scene: the scene with the present forces of sampled controllers and pieces of functions.
             q, v: (nq,) and (nv,) coordinates and velocities of the engine's model.
             time: s.
             rates: rates of the joint coordinates of the elements, m/s or rad/s.
         """
-        state = q.tobytes(), v.tobytes(), time
+        state = id(scene), q.tobytes(), v.tobytes(), time
         if self._last[0] != state:
             model = self.model
-            model.time = time
+            model.time, model.scene = time, scene
 
             def reactions(held: HeldFriction) -> list[Array]:
                 """Compute the reactions for given frictions."""
@@ -137,4 +142,5 @@ class EngineFriction:
                 for element, rate in zip(self.elements, rates, strict=True)
             }
             self._last = state, solve_frictions(slopes, reactions)
+            self._last_scene = scene  # so that no other scene gets its identity
         return self._last[1]

@@ -85,7 +85,7 @@ from newton_euler.integrators.stepper import (
 from newton_euler.integrators.switches import (
     NO_SWITCH,
     SHORTEST_STEP_ULPS,
-    change_branch,
+    end_step,
 )
 
 
@@ -368,7 +368,7 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
     reach = h
     fraction = NO_SWITCH
     dense = 0
-    if near == 0 and sample_step(system, system.switches, method) == 1:
+    if sample_step(system, system.switches, method) == 1:
         status = evaluate_dense(system, method)
         if status != Status.DONE:
             return status
@@ -398,8 +398,7 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
         now[i] = method.projected[i]
     now[n] = now[n] + reach
     if fraction <= 1.0:
-        status = finish_step(system, 0, now, end)
-        change_branch(system.switches, now)
+        status = finish_step(system, near, now, end)
     if control[Control.OVERSHOOTS_END] == 1.0 and now[n] > stop:
         for i in range(n):
             now[i] = states[n * (table.count - 1) + i]
@@ -407,7 +406,7 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
         status = finish_step(system, near, now, end)
     # exchange constraint rows, and evaluate the rates if the state or the rows have changed
     changed = exchange_rows(system.exchange, now)
-    if fraction <= 1.0:
+    if end_step(system.switches, fraction, now) == 1:
         changed = 1
     if changed == 1:
         copy_flags(system, now, method.at)

@@ -25,13 +25,12 @@ from newton_euler.integrators.switches import (
     MAX_ROOT_STEPS,
     NO_SWITCH,
     SAMPLES,
-    Search,
     Switches,
     begin_search,
     excess,
     first_positive_sample,
     locate_maximum,
-    may_switch,
+    located_switch,
     narrow_search,
     next_fraction,
     take_sample,
@@ -130,4 +129,4 @@ def locate_switch(system: Equations, switches: Switches, method: Dop853) -> floa
         fraction = next_fraction(switches)
         located = narrow_search(switches, fraction, excess_within(system, method, fraction))
         tries += 1
-    return switches.search[Search.HIGH] if may_switch(switches) == 1 else NO_SWITCH
+    return located_switch(switches)

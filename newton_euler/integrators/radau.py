@@ -65,14 +65,14 @@ from newton_euler.integrators.switches import (
     NO_SWITCH,
     SAMPLES,
     SHORTEST_STEP_ULPS,
-    Search,
     Switches,
     begin_search,
     change_branch,
+    end_step,
     excess,
     first_positive_sample,
     locate_maximum,
-    may_switch,
+    located_switch,
     narrow_search,
     next_fraction,
     take_sample,
@@ -137,7 +137,7 @@ def locate_switch(system: Equations, switches: Switches, method: Radau, h: float
         fraction = next_fraction(switches)
         located = narrow_search(switches, fraction, excess_within(system, method, h, fraction))
         tries += 1
-    return switches.search[Search.HIGH] if may_switch(switches) == 1 else NO_SWITCH
+    return located_switch(switches)
 
 
 @native
@@ -332,8 +332,7 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
         now[n] = now[n] + h
         # exchange constraint rows, and evaluate the rates
         changed = exchange_rows(system.exchange, now)
-        if fraction <= 1.0:
-            change_branch(system.switches, now)
+        if end_step(system.switches, fraction, now) == 1:
             changed = 1
         if status == Status.DONE:
             status = evaluate(system, now, slope)

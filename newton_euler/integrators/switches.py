@@ -30,8 +30,9 @@ from newton_euler.codegen.native import Callback, Record, Vector, native
 SAMPLES = 4
 """Number of parts of equal length into which a step is divided to look for the end of a branch."""
 
-NO_SWITCH = 2.0
-"""Fraction of a step that stands for a step without a switch."""
+NO_SWITCH, REFUSED_SWITCH = 2.0, 3.0
+"""Fractions of a step that stand for a step without a switch, and for one that makes no progress, see
+`MAX_IDLE_SWITCHES`."""
 
 MAX_ROOT_STEPS = 100
 """Largest number of evaluations to locate a switch. Each one at least halves the interval, or is a secant
@@ -47,8 +48,9 @@ SHORTEST_STEP_ULPS = 20.0
 """Shortest step from or to a switch, in units of the spacing of double-precision numbers near the time."""
 
 MAX_IDLE_SWITCHES = 20
-"""Number of consecutive switches without progress after which a step is accepted without looking for
-switches. A branch can be left and entered at one place only if round-off decides its sign."""
+"""Number of consecutive switches without progress after which a step is accepted beyond the switch. Its end
+then decides the branches. A branch can be left and entered at one place only if round-off decides its
+sign."""
 
 
 class Search(IntEnum):
@@ -97,8 +99,9 @@ def no_switches() -> Switches:
 
 @native
 def choose_branches(switches: Switches, x: Vector) -> None:
-    """Set the flags in x (inputs,) by the signs of the switching functions at x."""
+    """Set the flags in x (inputs,) by the signs of the switching functions at x, as at the start of a run."""
     if switches.count > 0:
+        switches.search[Search.IDLE] = 0.0
         switches.evaluate(x, switches.values)
         for i in range(switches.count):
             x[switches.first + i] = 1.0 if switches.values[i] > 0.0 else 0.0
@@ -231,14 +234,33 @@ def change_branch(switches: Switches, x: Vector) -> None:
 
 
 @native
-def may_switch(switches: Switches) -> int:
-    """Return 1 if the step may end at the switch that was located, else 0.
+def located_switch(switches: Switches) -> float:
+    """Return the fraction of the step at which the search has located a switch.
 
-    The result is 0 after many switches in a row that make no progress.
+    The result is `REFUSED_SWITCH` after many switches in a row that make no progress.
     """
     search = switches.search
     if search[Search.HIGH] > MIN_SWITCH_FRACTION:
         search[Search.IDLE] = 0.0
-        return 1
+        return search[Search.HIGH]
     search[Search.IDLE] = search[Search.IDLE] + 1.0
-    return 1 if search[Search.IDLE] < MAX_IDLE_SWITCHES else 0
+    return search[Search.HIGH] if search[Search.IDLE] < MAX_IDLE_SWITCHES else REFUSED_SWITCH
+
+
+@native
+def end_step(switches: Switches, fraction: float, x: Vector) -> int:
+    """Change the branches at the end x (inputs,) of an accepted step; return 1 if flags may have changed.
+
+    Args:
+        fraction: end of the step, at a switch; or `NO_SWITCH` or `REFUSED_SWITCH`.
+    """
+    if switches.count == 0:
+        return 0
+    if fraction == REFUSED_SWITCH:
+        choose_branches(switches, x)
+        return 1
+    if fraction == NO_SWITCH:
+        switches.search[Search.IDLE] = 0.0
+        return 0
+    change_branch(switches, x)
+    return 1

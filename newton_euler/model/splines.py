@@ -279,4 +279,4 @@ class Moves(Piecewise):
 
     def piece(self, time: float) -> tuple[float, ...]:
         start, *coefficients = self._pieces[bisect_right(self.knots, time + TIME_ROUND_OFF * abs(time))]
-        return max(start, 0.0), *coefficients
+        return (0.0 if np.isinf(start) else start), *coefficients  # the rest before the first move

@@ -8,7 +8,7 @@ import pytest
 import mjcf
 import newton_euler
 import urdf
-from newton_euler import Body, JointFriction, Mechanism, Prismatic, Revolute, Scene, State
+from newton_euler import PD, Body, Digital, JointFriction, Mechanism, Prismatic, Revolute, Scene, State
 from newton_euler.errors import MechanismError
 
 MASS, GRAVITY, TRANSITION = 2.0, 9.81, 1e-6
@@ -83,3 +83,26 @@ def test_an_undetermined_reaction_is_refused():
     scene = Scene("door", mechanism, 0.1, 0.1, forces=(JointFriction("low", 0.0, load_coefficient=0.01),))
     with pytest.raises(MechanismError, match="friction of joint 'low'"):
         newton_euler.simulate(scene)
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "pinocchio"])
+def test_loads_of_a_sampled_controller_count(engine):
+    """An arm on a cart, whose digital controller loads the rail: other forces in each of its periods."""
+    cart, arm = Body("cart", 1.0, np.zeros(3), np.eye(3)), Body("arm", 0.5, [0.3, 0.0, 0.0], 0.01 * np.eye(3))
+    joints = [
+        Prismatic("rail", "ground", "cart", np.zeros(3), axis=[1.0, 0.0, 0.0]),
+        Revolute("elbow", "cart", "arm", np.zeros(3), axis=[0.0, 1.0, 0.0], actuated=True),
+    ]
+    scene = Scene(
+        "digital",
+        Mechanism([Body.ground(), cart, arm], joints),
+        0.2,
+        0.02,
+        [0.0, 0.0, -GRAVITY],
+        control=(Digital(PD("elbow", 30.0, 0.5, 0.8), period=0.02),),
+        forces=(JointFriction("rail", 0.0, transition_speed=0.02, load_coefficient=0.3),),
+    )
+    wanted, found = newton_euler.simulate(scene), ENGINES[engine](scene)
+    assert np.abs(wanted.position[-1, 1, 0]) > 1e-3
+    # derivatives of friction jump within MuJoCo's steps of 1 ms; forces of another period change 1e-3
+    assert np.abs(found.position - wanted.position).max() < 2e-5

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import mjcf
 import newton_euler
 from newton_euler import (
     PD,
@@ -14,6 +15,7 @@ from newton_euler import (
     Mechanism,
     Polynomial,
     Prismatic,
+    Revolute,
     Scene,
     State,
     Trajectory,
@@ -262,3 +264,50 @@ def test_one_friction_and_one_stop_a_side():
     block(forces=(stop, JointStop("rail", "high", 0.0, 1.0), JointFriction("rail", 1.0)))
     with pytest.raises(MechanismError, match="low stop"):
         block(forces=(stop, JointStop("rail", "low", 1.0, 1.0)))
+
+
+def test_hundreds_of_runs_that_begin_at_a_stop():
+    """Each begins with a switch that makes no progress; such switches of different runs do not add up."""
+    stop = JointStop("rail", "low", 0.0, 1e5, 2.0)
+    scene = block(0.5 * np.pi, forces=(stop,), outputs=frozenset({"velocities"}), output_period=1.0)
+    batch = newton_euler.simulate_batch(
+        scene, parameters={"block.mass": np.linspace(1.9, 2.1, 240)}, threads=1
+    )
+    ends = np.array([rail(run)[-1] for run in batch])
+    # they rest on the stop, m g / k deep
+    assert np.abs(ends + np.linspace(1.9, 2.1, 240) * GRAVITY / 1e5).max() < 1e-6
+
+
+@pytest.mark.parametrize("integrator", ["RK4", "Euler"])
+def test_mujoco_counts_the_work_of_stops(integrator):
+    """The energy lost in a stop, at the order of the integrator."""
+    stop = JointStop("rail", "high", 0.05, 2e4, dissipation=0.5)
+    scene = block(speed=1.0, forces=(stop,), duration=0.2)
+    run = mjcf.simulate(scene, timestep=1e-3, integrator=integrator)
+    lost = run.kinetic_energy[-1] - run.kinetic_energy[0]
+    assert run.work[-1] == pytest.approx(lost, abs=5e-3 * abs(lost))
+
+
+def test_a_stop_acts_beside_a_singular_configuration():
+    """A slider-crank of equal bars is singular with the crank upright; the stop begins 0.01 rad before it."""
+    crank_angle = np.pi / 3.0
+    tip = np.array([np.cos(crank_angle), 0.0, np.sin(crank_angle)])
+    foot = np.array([2.0 * tip[0], 0.0, 0.0])
+    centers = {"crank": 0.5 * tip, "coupler": 0.5 * (tip + foot), "slider": foot}
+    bodies = [Body(name, 1.0, center, 0.1 * np.eye(3)) for name, center in centers.items()]
+    hinge = {"axis": [0.0, -1.0, 0.0]}
+    joints = [
+        Revolute("a", "ground", "crank", np.zeros(3), **hinge),
+        Revolute("b", "crank", "coupler", tip, **hinge),
+        Revolute("c", "coupler", "slider", foot, **hinge),
+        Prismatic("d", "ground", "slider", foot, axis=[1.0, 0.0, 0.0]),
+    ]
+    stop = JointStop("a", "high", 0.5 * np.pi - crank_angle - 0.01, 1e5)
+    scene = Scene("upright", Mechanism([Body.ground(), *bodies], joints), 1.2, 0.05, forces=(stop,))
+    scene = newton_euler.start(scene, a=(0.0, 1.0))
+    runs = [newton_euler.simulate(scene, integrator=integrator) for integrator in ADAPTIVE]
+    energy = [run.kinetic_energy + run.potential_energy for run in runs]
+    for each in energy:
+        assert np.ptp(each) < 1e-6 * each[0]  # steps near a singular configuration have wider tolerances
+    assert np.abs(runs[0].position[-1] - runs[1].position[-1]).max() < 1e-6
+    assert runs[0].joint("a").rates[-1, 0] == pytest.approx(-1.0306535, abs=1e-5)  # RK4 at 0.1 ms

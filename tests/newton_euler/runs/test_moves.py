@@ -90,3 +90,16 @@ def test_moves_in_scene_files(tmp_path):
     write_scene(mass_on_rail(control=(law,)), tmp_path / "moves.yaml")
     (read,) = load(str(tmp_path / "moves.yaml")).control
     assert content(read) == content(law)
+
+
+def test_moves_may_begin_before_zero():
+    """A move from -2 to 4 s with ramps of 3 s: half of the way at 1 s, symmetric around it."""
+    moves = Moves((-2.0, 4.0), (0.0, 0.3), (3.0,))
+    assert moves.value(1.0) == pytest.approx(0.15)
+    assert moves.value(0.9) == pytest.approx(0.3 - moves.value(1.1))
+    assert on_piece_value(moves, 0.9) == pytest.approx(moves.value(0.9), rel=1e-14)
+
+
+def on_piece_value(function, time):
+    """The value of the smooth function that compiled code has between two knots."""
+    return function.on_piece(function.piece(time)).value(time)
