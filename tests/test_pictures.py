@@ -14,21 +14,21 @@ from pictures import (
     MADE_FROM,
     NOTEBOOK,
     PAGES,
+    PLOTS,
     ROOT,
     SCENES,
     STALE,
     WIDGET,
     WIDTHS,
-    WORKSPACES,
     WRONG,
     digest,
     made_from,
     notebook_content,
     page_words,
+    plot_command,
     shown,
     verdict_words,
     words,
-    workspace_command,
     wrong_engine,
 )
 
@@ -108,9 +108,9 @@ def test_the_disagreement(tmp_path, monkeypatch):
         assert made_from(picture) == content, f"{picture} {STALE}"
 
 
-@pytest.mark.parametrize(("name", "scene"), WORKSPACES.items())
-def test_workspaces(name, scene):
-    assert made_from(f"{name}.png") == digest(workspace_command(scene)), f"{name}.png {STALE}"
+@pytest.mark.parametrize(("name", "plot"), PLOTS.items())
+def test_plots_of_commands(name, plot):
+    assert made_from(f"{name}.png") == digest(plot_command(plot)), f"{name}.png {STALE}"
 
 
 def test_all_pictures_are_shown_and_small():

@@ -22,7 +22,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -142,15 +142,33 @@ def notebook_content() -> str:
     return "\n".join(["".join(cell["source"]) for cell in cells] + templates)
 
 
-WORKSPACES = {"workspace": "tracker", "excavator_workspace": "excavator"}
-"""Scenes of the pictures of workspaces, by the name of the picture."""
+class Plot(NamedTuple):
+    """A plot that a command of a page writes."""
+
+    page: str
+    start: str
+    """Beginning of the command in the page."""
+    file: str
+    """The plot, in the folder of the command."""
 
 
-def workspace_command(scene: str) -> str:
-    """Command of the picture of a scene's workspace, as its page has it."""
-    page = (ROOT / "docs" / "how_to" / "kinematics.md").read_text()
-    command = f"crosscheck workspace {scene} "
-    return command + page.partition(command)[2].partition("\n")[0]
+REACH_PLACE = "--latitude 11.56 --longitude 104.92 --date 2026-03-21"
+"""Place and date of the plot of the sun's positions that can be reached."""
+
+PLOTS = {
+    "workspace": Plot("kinematics.md", "crosscheck workspace tracker ", "workspace/tracker/workspace.png"),
+    "excavator_workspace": Plot(
+        "kinematics.md", "crosscheck workspace excavator ", "workspace/excavator/workspace.png"
+    ),
+    "sun_reach": Plot("sun.md", f"crosscheck sun {REACH_PLACE} --reach", "sun/tracker_sun/reach.png"),
+}
+"""Plots of commands, by the name of the picture."""
+
+
+def plot_command(plot: Plot) -> str:
+    """Command of a plot, as its page has it."""
+    page = (ROOT / "docs" / "how_to" / plot.page).read_text()
+    return plot.start + page.partition(plot.start)[2].partition("\n")[0]
 
 
 def verdict_words(rrd: Path) -> str:
@@ -349,13 +367,12 @@ def of_paper(folder: Path) -> None:
     save(Image.open(folder / "figure_6.png"), "drift", shown("tracker"))
 
 
-def of_workspaces(folder: Path) -> None:
-    """Make those of workspaces, which are known by their commands alone."""
-    for name, scene in WORKSPACES.items():
-        command = workspace_command(scene)
+def of_plots(folder: Path) -> None:
+    """Make the plots of commands, which are known by their commands alone."""
+    for name, plot in PLOTS.items():
+        command = plot_command(plot)
         subprocess.run(shlex.split(command), cwd=folder, env=environment(80), check=True)
-        picture = folder / "output" / "workspace" / scene / "workspace.png"
-        save(Image.open(picture), name, command)
+        save(Image.open(folder / "output" / plot.file), name, command)
 
 
 MAKERS = {
@@ -364,7 +381,7 @@ MAKERS = {
     "disagreement": of_disagreement,
     "benchmark": of_benchmark,
     "paper": of_paper,
-    "workspace": of_workspaces,
+    "plots": of_plots,
 }
 """Makers of pictures by name: all, or those that are named on the command line."""
 
