@@ -56,6 +56,8 @@ def scene_contents() -> dict[str, dict]:
     ]
     steps = {"kind": "steps", "times": [0.0, 0.5], "values": [0.0, 0.1]}
     feedback["control"][0]["feedforward"] = steps
+    moves = {"kind": "moves", "times": [0.0, 0.5], "values": [0.0, 0.1], "ramps": [0.1]}
+    loop["control"] = [{**loop["control"][0], "law": {**loop["control"][0]["law"], "target": moves}}]
     feedback["couplings"] = [
         {"kind": "linear", "name": "sum", "terms": [["motor", 0, 1.0], ["pivot", 0, 1.0]]}
     ]
