@@ -22,14 +22,10 @@ from newton_euler.integrators.stepper import (
     Equations,
 )
 from newton_euler.integrators.switches import (
-    MAX_ROOT_STEPS,
-    NO_SWITCH,
     SAMPLES,
     Switches,
     begin_search,
     excess,
-    first_positive_sample,
-    locate_maximum,
     located_switch,
     narrow_search,
     next_fraction,
@@ -51,12 +47,11 @@ def evaluate_dense(system: Equations, method: Dop853) -> Status:
 
 
 @native
-def excess_within(system: Equations, method: Dop853, fraction: float) -> float:
-    """Return the excess (`newton_euler.integrators.switches`) at a fraction of the step, by dense output."""
+def interpolate_step(system: Equations, method: Dop853, fraction: float) -> None:
+    """Interpolate the state and the time `method.at` at a fraction of the step, by dense output."""
     n = system.n
     interpolate(n, n, fraction, method, method.at)
     method.at[n] = method.now[n] + fraction * method.control[Control.STEP]
-    return excess(system.switches, method.at, method.now)
 
 
 @native
@@ -85,48 +80,23 @@ def sample_step(system: Equations, switches: Switches, method: Dop853) -> int:
         at[n] = now[n] + x * h
         take_sample(switches, number, at, now)
     take_sample(switches, SAMPLES, end, now)
-    if first_positive_sample(switches) <= 1.0:
-        return 1
-    for i in range(switches.count):
-        for number in range(1, SAMPLES):
-            if locate_maximum(switches, i, number) <= 1.0:
-                return 1
-    return 0
+    begin_search(switches)
+    return 1 if next_fraction(switches) <= 1.0 else 0
 
 
 @native
 def locate_switch(system: Equations, switches: Switches, method: Dop853) -> float:
     """Return the fraction of an accepted step at which a branch of a force is first left, or `NO_SWITCH`.
 
-    The additional stages of the dense output must have been evaluated.
+    The additional stages of the dense output and the samples at both ends must have been evaluated.
     """
-    # the first fraction known to be beyond a switch, and its excess
-    high = NO_SWITCH
-    high_value = 0.0
-    low = 0.0
-    for number in range(1, SAMPLES + 1):
-        if high > 1.0:
-            value = excess_within(system, method, float(number) / SAMPLES)
-            if value > 0.0:
-                high = float(number) / SAMPLES
-                high_value = value
-                low = (float(number) - 1.0) / SAMPLES
-    for i in range(switches.count):
-        for number in range(1, SAMPLES):
-            fraction = locate_maximum(switches, i, number)
-            if fraction < high:
-                value = excess_within(system, method, fraction)
-                if value > 0.0:
-                    high = fraction
-                    high_value = value
-                    low = 0.0
-    if high > 1.0:
-        return NO_SWITCH
-    begin_search(switches, low, high, high_value)
-    located = 0
-    tries = 0
-    while located == 0 and tries < MAX_ROOT_STEPS:
+    for number in range(1, SAMPLES):
+        interpolate_step(system, method, float(number) / SAMPLES)
+        take_sample(switches, number, method.at, method.now)
+    begin_search(switches)
+    fraction = next_fraction(switches)
+    while fraction <= 1.0:
+        interpolate_step(system, method, fraction)
+        narrow_search(switches, fraction, excess(switches, method.at, method.now))
         fraction = next_fraction(switches)
-        located = narrow_search(switches, fraction, excess_within(system, method, fraction))
-        tries += 1
     return located_switch(switches)

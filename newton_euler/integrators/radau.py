@@ -61,7 +61,6 @@ from newton_euler.integrators.stepper import (
     start_run,
 )
 from newton_euler.integrators.switches import (
-    MAX_ROOT_STEPS,
     NO_SWITCH,
     SAMPLES,
     SHORTEST_STEP_ULPS,
@@ -70,8 +69,6 @@ from newton_euler.integrators.switches import (
     change_branch,
     end_step,
     excess,
-    first_positive_sample,
-    locate_maximum,
     located_switch,
     narrow_search,
     next_fraction,
@@ -87,12 +84,11 @@ MAX_SWITCH_PLACEMENTS = 8
 
 
 @native
-def excess_within(system: Equations, method: Radau, h: float, fraction: float) -> float:
-    """Return the excess (`newton_euler.integrators.switches`) at a fraction of a step of size h, s."""
+def interpolate_step(system: Equations, method: Radau, h: float, fraction: float) -> None:
+    """Interpolate the state and the time `method.at` at a fraction of a step of size h, s."""
     n = system.n
     interpolate_radau(n, n, fraction, method.now, method.terms, method.at)
     method.at[n] = method.now[n] + fraction * h
-    return excess(system.switches, method.at, method.now)
 
 
 @native
@@ -105,38 +101,15 @@ def locate_switch(system: Equations, switches: Switches, method: Radau, h: float
     """
     if switches.count == 0:
         return NO_SWITCH
-    # sample the step: the first fraction known to be beyond a switch, and its excess
-    n = system.n
-    at = method.at
-    low = 0.0
-    high = NO_SWITCH
-    high_value = 0.0
     for number in range(SAMPLES + 1):
-        interpolate_radau(n, n, float(number) / SAMPLES, method.now, method.terms, at)
-        at[n] = method.now[n] + float(number) / SAMPLES * h
-        take_sample(switches, number, at, method.now)
-    high = first_positive_sample(switches)
-    if high <= 1.0:
-        low = high - 1.0 / SAMPLES
-        high_value = excess_within(system, method, h, high)
-    for i in range(switches.count):
-        for number in range(1, SAMPLES):
-            fraction = locate_maximum(switches, i, number)
-            if fraction < high:
-                value = excess_within(system, method, h, fraction)
-                if value > 0.0:
-                    high = fraction
-                    high_value = value
-                    low = 0.0
-    if high > 1.0:
-        return NO_SWITCH
-    begin_search(switches, low, high, high_value)
-    located = 0
-    tries = 0
-    while located == 0 and tries < MAX_ROOT_STEPS:
+        interpolate_step(system, method, h, float(number) / SAMPLES)
+        take_sample(switches, number, method.at, method.now)
+    begin_search(switches)
+    fraction = next_fraction(switches)
+    while fraction <= 1.0:
+        interpolate_step(system, method, h, fraction)
+        narrow_search(switches, fraction, excess(switches, method.at, method.now))
         fraction = next_fraction(switches)
-        located = narrow_search(switches, fraction, excess_within(system, method, h, fraction))
-        tries += 1
     return located_switch(switches)
 
 

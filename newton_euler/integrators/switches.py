@@ -58,8 +58,12 @@ class Search(IntEnum):
 
     Attributes:
         LOW, HIGH: ends of the interval, as fractions of the step; the excess is positive at `HIGH` only.
-        LOW_VALUE, HIGH_VALUE: excess at both ends; halved by the Illinois rule.
+            `HIGH` is `NO_SWITCH` while no such place is known.
+        LOW_VALUE, HIGH_VALUE: excess at both ends, 0 at a low end where it is not known; halved by the
+            Illinois rule.
         KEPT: 1 if the last steps kept the low end, -1 if they kept the high end, else 0.
+        MAXIMA: number of places that have been examined for a maximum.
+        ROOT_STEPS: number of evaluations to locate the root.
         IDLE: number of consecutive switches at the start of a step.
     """
 
@@ -68,7 +72,9 @@ class Search(IntEnum):
     LOW_VALUE = 2
     HIGH_VALUE = 3
     KEPT = 4
-    IDLE = 5
+    MAXIMA = 5
+    ROOT_STEPS = 6
+    IDLE = 7
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +87,7 @@ class Switches(Record):
         evaluate: writes the switching functions (count,) of a state with time and parameters.
         values: (count,) values of the switching functions.
         samples: (SAMPLES + 1, count) signed values at equal distances over a step.
-        search: (6,) see `Search`.
+        search: see `Search`.
     """
 
     count: int
@@ -108,12 +114,18 @@ def choose_branches(switches: Switches, x: Vector) -> None:
 
 
 @native
+def signed_value(switches: Switches, i: int, flags: Vector) -> float:
+    """Return switching function i of `Switches.values`, positive if its branch is left by flags (inputs,)."""
+    return switches.values[i] if flags[switches.first + i] == 0.0 else -switches.values[i]
+
+
+@native
 def excess(switches: Switches, x: Vector, flags: Vector) -> float:
     """Return the largest signed switching function at x, with flags of another vector; both are (inputs,)."""
     switches.evaluate(x, switches.values)
     largest = -1.0
     for i in range(switches.count):
-        value = switches.values[i] if flags[switches.first + i] == 0.0 else -switches.values[i]
+        value = signed_value(switches, i, flags)
         if i == 0 or value > largest:
             largest = value
     return largest
@@ -124,19 +136,7 @@ def take_sample(switches: Switches, number: int, x: Vector, flags: Vector) -> No
     """Store the signed switching functions at x as sample `number` of a step; both vectors are (inputs,)."""
     switches.evaluate(x, switches.values)
     for i in range(switches.count):
-        value = switches.values[i] if flags[switches.first + i] == 0.0 else -switches.values[i]
-        switches.samples[switches.count * number + i] = value
-
-
-@native
-def first_positive_sample(switches: Switches) -> float:
-    """Return the fraction of the step at the first sample, after the start, at which a branch is left."""
-    found = NO_SWITCH
-    for i in range(switches.count):
-        for number in range(1, SAMPLES + 1):
-            if switches.samples[switches.count * number + i] > 0.0:
-                found = min(found, float(number) / SAMPLES)
-    return found
+        switches.samples[switches.count * number + i] = signed_value(switches, i, flags)
 
 
 @native
@@ -163,40 +163,71 @@ def locate_maximum(switches: Switches, i: int, number: int) -> float:
 
 
 @native
-def begin_search(switches: Switches, low: float, high: float, high_value: float) -> None:
-    """Begin the search for a root of the excess between two fractions of a step."""
+def begin_search(switches: Switches) -> None:
+    """Begin the search for the first switch of a step whose samples are taken.
+
+    The search ends with the first sample at which a branch is left, if there is one.
+    """
     search = switches.search
-    search[Search.LOW] = low
-    search[Search.HIGH] = high
+    search[Search.LOW] = 0.0
+    search[Search.HIGH] = NO_SWITCH
     search[Search.LOW_VALUE] = 0.0
-    search[Search.HIGH_VALUE] = high_value
+    search[Search.HIGH_VALUE] = 0.0
     search[Search.KEPT] = 0.0
+    search[Search.MAXIMA] = 0.0
+    search[Search.ROOT_STEPS] = 0.0
+    for number in range(1, SAMPLES + 1):
+        largest = 0.0
+        for i in range(switches.count):
+            largest = max(largest, switches.samples[switches.count * number + i])
+        if largest > 0.0 and search[Search.HIGH] > 1.0:
+            search[Search.LOW] = (float(number) - 1.0) / SAMPLES
+            search[Search.HIGH] = float(number) / SAMPLES
+            search[Search.HIGH_VALUE] = largest
 
 
 @native
 def next_fraction(switches: Switches) -> float:
-    """Return the next fraction of the step at which to evaluate the excess: a secant step, or the middle."""
+    """Return the next fraction of the step at which to evaluate the excess, or `NO_SWITCH` if there is none.
+
+    At first these are maxima before the end of the search, where a branch may be left and entered again; then
+    they are steps to the root: secant steps, or the middle of the interval.
+    """
     search = switches.search
+    for i in range(switches.count):
+        for number in range(1, SAMPLES):
+            if float((SAMPLES - 1) * i + number) > search[Search.MAXIMA]:
+                search[Search.MAXIMA] = search[Search.MAXIMA] + 1.0
+                fraction = locate_maximum(switches, i, number)
+                if fraction < search[Search.HIGH]:
+                    return fraction
     low = search[Search.LOW]
     high = search[Search.HIGH]
+    if high > 1.0 or high - low <= ROOT_TOLERANCE or search[Search.ROOT_STEPS] >= MAX_ROOT_STEPS:
+        return NO_SWITCH
+    search[Search.ROOT_STEPS] = search[Search.ROOT_STEPS] + 1.0
     rise = search[Search.HIGH_VALUE] - search[Search.LOW_VALUE]
-    fraction = 0.5 * (low + high)
     if search[Search.LOW_VALUE] < 0.0 and rise > 0.0:
         secant = low - search[Search.LOW_VALUE] * (high - low) / rise
         if secant > low and secant < high:
-            fraction = secant
-    return fraction
+            return secant
+    return 0.5 * (low + high)
 
 
 @native
-def narrow_search(switches: Switches, fraction: float, value: float) -> int:
-    """Narrow the interval by the excess at a fraction of the step; return 1 if the root is located, else 0.
+def narrow_search(switches: Switches, fraction: float, value: float) -> None:
+    """Narrow the interval of the search by the excess at the fraction of the step from `next_fraction`.
 
     The value of an end that stays twice is halved (Illinois rule; M. Dowell, P. Jarratt, BIT 11, 1971, pp.
     168-174), so that both ends approach the root.
     """
     search = switches.search
-    if value > 0.0:
+    if search[Search.ROOT_STEPS] == 0.0:
+        if value > 0.0:  # the maximum is beyond a switch
+            search[Search.LOW] = 0.0
+            search[Search.HIGH] = fraction
+            search[Search.HIGH_VALUE] = value
+    elif value > 0.0:
         search[Search.HIGH] = fraction
         search[Search.HIGH_VALUE] = value
         if search[Search.KEPT] > 0.0:
@@ -208,7 +239,20 @@ def narrow_search(switches: Switches, fraction: float, value: float) -> int:
         if search[Search.KEPT] < 0.0:
             search[Search.HIGH_VALUE] = 0.5 * search[Search.HIGH_VALUE]
         search[Search.KEPT] = -1.0
-    return 1 if search[Search.HIGH] - search[Search.LOW] <= ROOT_TOLERANCE else 0
+
+
+@native
+def located_switch(switches: Switches) -> float:
+    """Return the fraction of the step at which the search has located a switch, or `NO_SWITCH`.
+
+    The result is `REFUSED_SWITCH` after many switches in a row that make no progress.
+    """
+    search = switches.search
+    if search[Search.HIGH] > MIN_SWITCH_FRACTION:
+        search[Search.IDLE] = 0.0
+        return search[Search.HIGH]
+    search[Search.IDLE] = search[Search.IDLE] + 1.0
+    return search[Search.HIGH] if search[Search.IDLE] < MAX_IDLE_SWITCHES else REFUSED_SWITCH
 
 
 @native
@@ -222,29 +266,13 @@ def change_branch(switches: Switches, x: Vector) -> None:
     nearest = 0
     largest = 0.0
     for i in range(switches.count):
-        value = switches.values[i] if x[switches.first + i] == 0.0 else -switches.values[i]
+        value = signed_value(switches, i, x)
         if i == 0 or value > largest:
             nearest = i
             largest = value
     for i in range(switches.count):
-        flag = x[switches.first + i]
-        value = switches.values[i] if flag == 0.0 else -switches.values[i]
-        if value > 0.0 or i == nearest:
-            x[switches.first + i] = 1.0 - flag
-
-
-@native
-def located_switch(switches: Switches) -> float:
-    """Return the fraction of the step at which the search has located a switch.
-
-    The result is `REFUSED_SWITCH` after many switches in a row that make no progress.
-    """
-    search = switches.search
-    if search[Search.HIGH] > MIN_SWITCH_FRACTION:
-        search[Search.IDLE] = 0.0
-        return search[Search.HIGH]
-    search[Search.IDLE] = search[Search.IDLE] + 1.0
-    return search[Search.HIGH] if search[Search.IDLE] < MAX_IDLE_SWITCHES else REFUSED_SWITCH
+        if signed_value(switches, i, x) > 0.0 or i == nearest:
+            x[switches.first + i] = 1.0 - x[switches.first + i]
 
 
 @native
