@@ -11,33 +11,26 @@ from crosscheck.cli.shared import (
     AGREE,
     cli,
     folder_option,
-    load_with_warnings,
     next_step,
     progress_shown,
-    refuse_excitation,
     result_paths,
-    scene_options,
     setting_options,
     show,
     verbose_option,
 )
+from crosscheck.cli.trackers import (
+    LIBRARY_TRACKER,
+    largest_tilt,
+    load_tracker,
+    tracker_options,
+    tracker_settings,
+)
 from crosscheck.support.errors import CrosscheckError
-
-LIBRARY_TRACKER = "tracker_sun"
-"""Name of the default scene, the tracker of the library with stiff controllers."""
-
-LIBRARY_TILT, ANY_TILT = 30.0, 90.0
-"""Default of `--most-tilt`, degrees, for the tracker of the library and for other scenes."""
 
 
 @cli.command("sun")
 @click.argument("scene", required=False)
 @setting_options
-@click.option(
-    "--axis",
-    metavar="BODY=X,Y,Z",
-    help="Normal of the face, in the frame of its body.  [default: panel_7=0,0,1 if there is this body]",
-)
 @click.option(
     "--latitude",
     "latitudes",
@@ -57,24 +50,7 @@ LIBRARY_TILT, ANY_TILT = 30.0, 90.0
     help="Time zone, such as Asia/Phnom_Penh.  [default: whole hours from the longitude]",
 )
 @click.option("--period", type=float, default=60.0, show_default=True, help="Time between set-points, s.")
-@click.option(
-    "--deadband",
-    type=float,
-    default=0.0,
-    show_default=True,
-    help="Pointing error that makes the tracker move, degrees.",
-)
-@click.option(
-    "--most-tilt",
-    type=float,
-    help="Largest tilt from the horizontal, degrees.  [default: 30 for the library's tracker, or 90]",
-)
-@click.option(
-    "--pitch",
-    type=float,
-    default=float("inf"),
-    help="Distance between rows in panel lengths, for backtracking.",
-)
+@tracker_options
 @click.option("--stow", type=float, help="Wind speed from which the panel is stowed flat, m/s; needs --wind.")
 @click.option(
     "--wind",
@@ -100,20 +76,6 @@ LIBRARY_TILT, ANY_TILT = 30.0, 90.0
     default=0.02,
     show_default=True,
     help="Largest acceleration of the set-points, m/s^2 or rad/s^2.",
-)
-@click.option(
-    "--clearance",
-    type=float,
-    default=0.001,
-    show_default=True,
-    help="Smallest distance between bodies that no joint connects, m.",
-)
-@click.option(
-    "--to-singular",
-    type=float,
-    default=0.05,
-    show_default=True,
-    help="Smallest distance from singular configurations, as in workspace.",
 )
 @click.option(
     "--reach", "with_reach", is_flag=True, help="Map the sun's directions over the year that can be faced."
@@ -142,8 +104,6 @@ def sun_command(
     with x to the east, y to the north and z up; without it, the tracker of the library. A mechanism that
     cannot face the sun comes as near as it can. With several latitudes or dates, a table compares the days.
     """
-    from crosscheck.design.workspace import axis_of
-    from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker
     from crosscheck.solar.day import check_period, tracker_day
     from crosscheck.solar.place import SUN, Place, seconds_of_day
     from crosscheck.solar.reach import reach_over_year
@@ -158,14 +118,11 @@ def sun_command(
     for name, value in (("--stow", stow), ("--wind-from", wind_from)):
         if value is not None and wind is None:
             raise CrosscheckError(f"{name} has no effect without --wind SPEED|CSV; give both or none")
-    options = refuse_excitation(scene_options(settings), why="controllers follow the sun")
-    if scene is None and options:
-        raise CrosscheckError(f"--set {next(iter(options))} needs a SCENE")
+    options = tracker_settings(scene, settings, why="controllers follow the sun")
     longitude, altitude = numbers.pop("longitude"), numbers.pop("altitude")
-    default_tilt = LIBRARY_TILT if scene is None else ANY_TILT
     tracking = Tracking(
         stow=float("inf") if stow is None else stow,  # without --stow, no wind is too fast
-        most_tilt=default_tilt if most_tilt is None else most_tilt,
+        most_tilt=largest_tilt(scene, most_tilt),
         **numbers,  # the other options are rules of tracking
     )
     check_period(period)
@@ -181,12 +138,7 @@ def sun_command(
     files += REACH_FILES if with_reach else ()
     sources = [source, *([wind] if wind and Path(wind).is_file() else [])]
     paths = result_paths(output, "output/sun", kind="solar day", names=files, sources=sources)
-    # the tracker and its face
-    loaded = sun_tracker() if scene is None else load_with_warnings(scene, options)
-    normal = PANEL_NORMAL if axis is None else axis_of(axis)
-    if axis is None and PANEL_NORMAL.body not in loaded.mechanism.body_names:
-        bodies = ", ".join(loaded.mechanism.body_names[1:])
-        raise CrosscheckError(f"needed: --axis BODY=X,Y,Z, the normal of a face; bodies: {bodies:.500}")
+    loaded, normal = load_tracker(scene, options, axis)
     days = []
     with progress_shown() as progress:
         for place, date in with_progress(pairs, progress, "day"):

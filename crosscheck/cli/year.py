@@ -10,33 +10,26 @@ from crosscheck.cli.shared import (
     AGREE,
     cli,
     folder_option,
-    load_with_warnings,
     next_step,
     progress_shown,
-    refuse_excitation,
     result_paths,
-    scene_options,
     setting_options,
     show,
     verbose_option,
 )
+from crosscheck.cli.trackers import (
+    LIBRARY_TRACKER,
+    largest_tilt,
+    load_tracker,
+    tracker_options,
+    tracker_settings,
+)
 from crosscheck.support.errors import CrosscheckError
-
-LIBRARY_TRACKER = "tracker_sun"
-"""Name of the default scene, the tracker of the library with the controllers of `crosscheck sun`."""
-
-LIBRARY_TILT, ANY_TILT = 30.0, 90.0
-"""Default of `--most-tilt`, degrees, for the tracker of the library and for other scenes."""
 
 
 @cli.command("year")
 @click.argument("scene", required=False)
 @setting_options
-@click.option(
-    "--axis",
-    metavar="BODY=X,Y,Z",
-    help="Normal of the face, in the frame of its body.  [default: panel_7=0,0,1 if there is this body]",
-)
 @click.option(
     "--weather",
     type=click.Path(path_type=Path),
@@ -52,43 +45,12 @@ LIBRARY_TILT, ANY_TILT = 30.0, 90.0
     metavar="ZONE",
     help="Time zone, such as UTC+07:00.  [default: that of the file, or whole hours from the longitude]",
 )
-@click.option(
-    "--most-tilt",
-    type=float,
-    help="Largest tilt from the horizontal, degrees.  [default: 30 for the library's tracker, or 90]",
-)
-@click.option(
-    "--deadband",
-    type=float,
-    default=0.0,
-    show_default=True,
-    help="Pointing error that makes the tracker move, degrees.",
-)
-@click.option(
-    "--pitch",
-    type=float,
-    default=float("inf"),
-    help="Distance between rows in panel lengths, for backtracking.",
-)
+@tracker_options
 @click.option(
     "--stow",
     type=float,
     default=float("inf"),
     help="Wind speed of the weather file above which the panel lies flat, m/s.",
-)
-@click.option(
-    "--clearance",
-    type=float,
-    default=0.001,
-    show_default=True,
-    help="Smallest distance between bodies that no joint connects, m.",
-)
-@click.option(
-    "--to-singular",
-    type=float,
-    default=0.05,
-    show_default=True,
-    help="Smallest distance from singular configurations, as in workspace.",
 )
 @click.option(
     "--stroke",
@@ -133,8 +95,6 @@ def year_command(
     SCENE is the name of a library scene or a model file (see run) with x to the east, y to the north and z
     up; without it, the tracker of the library. Poses are at rest, one for each hour.
     """
-    from crosscheck.design.workspace import axis_of
-    from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker
     from crosscheck.solar.base import base_of
     from crosscheck.solar.place import SUN, Place
     from crosscheck.solar.tracking import Tracking
@@ -145,12 +105,9 @@ def year_command(
     from newton_euler.optional_packages import optional_package
 
     # the rules of tracking
-    options = refuse_excitation(scene_options(settings), why="poses are at rest")
-    if scene is None and options:
-        raise CrosscheckError(f"--set {next(iter(options))} needs a SCENE")
-    default_tilt = LIBRARY_TILT if scene is None else ANY_TILT
+    options = tracker_settings(scene, settings, why="poses are at rest")
     # the other options are rules of tracking
-    tracking = Tracking(most_tilt=default_tilt if most_tilt is None else most_tilt, **numbers)
+    tracking = Tracking(most_tilt=largest_tilt(scene, most_tilt), **numbers)
     orientation = None if base is None else base_of(base)
     ends = dict(map(stroke_of, strokes))
     # the module
@@ -175,11 +132,7 @@ def year_command(
     source = scene or LIBRARY_TRACKER
     sources: list[str | Path] = [source, *([] if weather is None else [weather])]
     paths = result_paths(output, "output/year", kind="solar year", names=YEAR_FILES, sources=sources)
-    loaded = sun_tracker() if scene is None else load_with_warnings(scene, options)
-    normal = PANEL_NORMAL if axis is None else axis_of(axis)
-    if axis is None and PANEL_NORMAL.body not in loaded.mechanism.body_names:
-        bodies = ", ".join(loaded.mechanism.body_names[1:])
-        raise CrosscheckError(f"needed: --axis BODY=X,Y,Z, the normal of a face; bodies: {bodies:.500}")
+    loaded, normal = load_tracker(scene, options, axis)
     with progress_shown() as progress:
         progress("reading the weather" if weather else "light of the sky")
         if place is not None and year is not None:

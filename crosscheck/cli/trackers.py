@@ -1,0 +1,115 @@
+"""Options of the commands about solar trackers: scene, face that follows the sun, and rules of tracking."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import click
+
+from crosscheck.cli.shared import load_with_warnings, refuse_excitation, scene_options
+from crosscheck.support.errors import CrosscheckError
+
+if TYPE_CHECKING:
+    from newton_euler import Axis
+    from newton_euler.model.scene import Scene
+
+LIBRARY_TRACKER = "tracker_sun"
+"""Name of the default scene, the tracker of the library with stiff controllers."""
+
+LIBRARY_TILT, ANY_TILT = 30.0, 90.0
+"""Default of `--most-tilt`, degrees, for the tracker of the library and for other scenes."""
+
+
+def tracker_options(command: Callable[..., int]) -> Callable[..., int]:
+    """Add the option for the face of the tracker, and those for the rules of tracking, to a command."""
+    options = [
+        click.option(
+            "--axis",
+            metavar="BODY=X,Y,Z",
+            help="Normal of the face, in the frame of its body.  "
+            "[default: panel_7=0,0,1 if there is this body]",
+        ),
+        click.option(
+            "--most-tilt",
+            type=float,
+            help="Largest tilt from the horizontal, degrees.  [default: 30 for the library's tracker, or 90]",
+        ),
+        click.option(
+            "--deadband",
+            type=float,
+            default=0.0,
+            show_default=True,
+            help="Pointing error that makes the tracker move, degrees.",
+        ),
+        click.option(
+            "--pitch",
+            type=float,
+            default=float("inf"),
+            help="Distance between rows in panel lengths, for backtracking.",
+        ),
+        click.option(
+            "--clearance",
+            type=float,
+            default=0.001,
+            show_default=True,
+            help="Smallest distance between bodies that no joint connects, m.",
+        ),
+        click.option(
+            "--to-singular",
+            type=float,
+            default=0.05,
+            show_default=True,
+            help="Smallest distance from singular configurations, as in workspace.",
+        ),
+    ]
+    for option in reversed(options):  # the last one added stands first in the help
+        command = option(command)
+    return command
+
+
+def tracker_settings(scene: str | None, settings: tuple[str, ...], why: str) -> dict[str, str]:
+    """Return the options of the scene by name, from the values of `--set`.
+
+    Args:
+        scene: the argument SCENE, or None for the tracker of the library.
+        settings: values of `--set`.
+        why: reason why the scene must not have an excitation, for the message.
+
+    Raises:
+        CrosscheckError: for an excitation, and for settings without a scene.
+    """
+    options = refuse_excitation(scene_options(settings), why)
+    if scene is None and options:
+        raise CrosscheckError(f"--set {next(iter(options))} needs a SCENE")
+    return options
+
+
+def largest_tilt(scene: str | None, given: float | None) -> float:
+    """Return the largest tilt of the face, degrees: the given one, or the default of the scene."""
+    if given is not None:
+        return given
+    return LIBRARY_TILT if scene is None else ANY_TILT
+
+
+def load_tracker(scene: str | None, options: dict[str, str], axis: str | None) -> tuple[Scene, Axis]:
+    """Load a tracker, and return it with the normal of its face.
+
+    Args:
+        scene: the argument SCENE, or None for the tracker of the library.
+        options: options of the scene by name.
+        axis: the option `--axis`.
+
+    Raises:
+        CrosscheckError: if the scene has no body of the default axis, and `--axis` is not given.
+    """
+    from crosscheck.design.workspace import axis_of
+    from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker
+
+    loaded = sun_tracker() if scene is None else load_with_warnings(scene, options)
+    if axis is not None:
+        return loaded, axis_of(axis)
+    if PANEL_NORMAL.body not in loaded.mechanism.body_names:
+        bodies = ", ".join(loaded.mechanism.body_names[1:])
+        raise CrosscheckError(f"needed: --axis BODY=X,Y,Z, the normal of a face; bodies: {bodies:.500}")
+    return loaded, PANEL_NORMAL
