@@ -7,6 +7,7 @@ added to the import report of the scene: the report lists how each element of a 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import assert_never
 
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.control import PD
@@ -139,8 +140,6 @@ def _approximate(scene: Scene, report: ImportReport, friction: str, stop: str) -
         stop: the same for a stop.
     """
     for force in scene.switched_forces:
-        if isinstance(force, ElasticGear):
-            continue
         if isinstance(force, JointFriction):
             report.approximated(force.element, f"as {friction}", FRICTION)
             if force.stribeck:
@@ -149,8 +148,12 @@ def _approximate(scene: Scene, report: ImportReport, friction: str, stop: str) -
             if force.is_loaded:
                 why = "its friction that grows with the reaction: the format has Coulomb friction alone"
                 report.left_out(force.element, why, topic="load coefficient")
-        else:
+        elif isinstance(force, JointStop):
             report.approximated(force.element, f"as {stop}", LIMITS)
+        elif isinstance(force, ElasticGear):
+            continue  # each format has its own entry
+        else:
+            assert_never(force)
 
 
 def _stops_by_coordinate(scene: Scene) -> dict[Key, list[JointStop]]:

@@ -465,8 +465,9 @@ class Formulation(System):
         """Compute the quantities that forces depend on: frames, joint coordinates, time."""
         frames, measured, model = self.frames(q, v), self.measured(q, v), partial(self.model_forces, q, v)
         friction = partial(self.loaded_friction, q, v)
-        at = Surroundings(self.mechanism, self.poses, frames, measured, self.time, model, friction)
-        return at._replace(branches=self.branches)
+        return Surroundings(
+            self.mechanism, self.poses, frames, measured, self.time, model, friction, self.branches
+        )
 
     def loaded_friction(self, q: Array, v: Array) -> HeldFriction:
         """Compute the frictions that grow with reactions, N or N m, by identity of the element."""

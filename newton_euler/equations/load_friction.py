@@ -106,7 +106,6 @@ class EngineFriction:
         self._joints = [scene.mechanism.joint_index(element.joint) for element in self.elements]
         self._model: FrictionModel | None = None
         self._last: tuple[Any, dict[str, float]] = None, {}
-        self._last_scene = scene
 
     @property
     def model(self) -> FrictionModel:
@@ -125,7 +124,7 @@ class EngineFriction:
             time: s.
             rates: rates of the joint coordinates of the elements, m/s or rad/s.
         """
-        state = id(scene), q.tobytes(), v.tobytes(), time
+        state = scene, q.tobytes(), v.tobytes(), time
         if self._last[0] != state:
             model = self.model
             model.time, model.scene = time, scene
@@ -142,5 +141,4 @@ class EngineFriction:
                 for element, rate in zip(self.elements, rates, strict=True)
             }
             self._last = state, solve_frictions(slopes, reactions)
-            self._last_scene = scene  # so that no other scene gets its identity
         return self._last[1]
