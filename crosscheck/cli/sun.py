@@ -104,11 +104,12 @@ def sun_command(
     with x to the east, y to the north and z up; without it, the tracker of the library. A mechanism that
     cannot face the sun comes as near as it can. With several latitudes or dates, a table compares the days.
     """
-    from crosscheck.solar.day import check_period, tracker_day
+    from crosscheck.solar.day import tracker_day
     from crosscheck.solar.place import SUN, Place, seconds_of_day
     from crosscheck.solar.reach import reach_over_year
     from crosscheck.solar.report import DAY_FILES, REACH_FILES, SURVEY_FILES, day_report, survey_report
     from crosscheck.solar.results import write_day, write_survey
+    from crosscheck.solar.set_points import check_period
     from crosscheck.solar.tracking import Tracking
     from crosscheck.solar.wind import wind_over_day
     from crosscheck.support.time_limits import with_progress

@@ -59,9 +59,9 @@ def tracker_sun_day(
         date: month whose date is given in `DATES`.
     """
     # imported here, since other scenes need no solar positions
-    from crosscheck.solar.day import following
     from crosscheck.solar.geared import Geared
     from crosscheck.solar.place import Place, day_times, sun_over
+    from crosscheck.solar.set_points import following
     from crosscheck.solar.tracking import Tracking
 
     # times of a day in the nautical time zone (whole hours from Greenwich), every 300 s of the real sun:

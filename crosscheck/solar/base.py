@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.solar.day import pd_laws
 from crosscheck.solar.place import Sun
+from crosscheck.solar.set_points import pd_laws
 from crosscheck.support.errors import CrosscheckError
 from newton_euler import Axis, Polynomial, Poses, Spline, on_moving_base, solve_poses, statics
 from newton_euler.errors import choices, plain_number

@@ -12,23 +12,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from crosscheck.solar.energy import THIS, ClearSky, over_day
 from crosscheck.solar.geared import Geared
-from crosscheck.solar.moves import Plan, plan_moves
+from crosscheck.solar.moves import Plan
 from crosscheck.solar.obstacles import Faced, Ways, face
 from crosscheck.solar.one_axis import aim_of
 from crosscheck.solar.place import Place, Sun, day_times, sun_over
+from crosscheck.solar.set_points import check_period, check_tracker, following
 from crosscheck.solar.tracking import Tracking
 from crosscheck.solar.wind import WIND, wind_on_panel
-from crosscheck.support.errors import CrosscheckError
-from newton_euler import Axis, Loads, Poses, compile_scene, statics
+from newton_euler import Axis, Loads, Poses, compile_scene
 from newton_euler.analysis.kinematics.configurations import smallest_turns
 from newton_euler.analysis.loads.envelope import Load, actuator_loads, work_and_energy
-from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import rotations
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
@@ -56,7 +55,7 @@ def angles(one: Array, other: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class ActuatorMotion:
+class ActuatorDay:
     """Force and speed of an actuator over a day with n set-points and k outputs.
 
     Attributes:
@@ -80,7 +79,7 @@ class ActuatorMotion:
     moving: Array
 
     @classmethod
-    def of(cls, name: str, loads: Mapping[Load, Array], day: Day) -> ActuatorMotion:
+    def of(cls, name: str, loads: Mapping[Load, Array], day: Day) -> ActuatorDay:
         """Take the loads of the actuator with this name from those of all actuators."""
         ((unit, force),) = [
             (load.unit, values)
@@ -167,10 +166,10 @@ class Day:
         return replace(self.motion, **arrays)
 
     @cached_property
-    def actuators(self) -> dict[str, ActuatorMotion]:
+    def actuators(self) -> dict[str, ActuatorDay]:
         """Forces and speeds of the actuators over the day, by the label of their joint coordinate."""
         loads = actuator_loads(self.scene, self.motion)
-        return {name: ActuatorMotion.of(name, loads, self) for name in self.keys}
+        return {name: ActuatorDay.of(name, loads, self) for name in self.keys}
 
     @property
     def period(self) -> float:
@@ -307,96 +306,6 @@ class Day:
             _, positive_work = work_and_energy(force, self.poses.coordinates[key])
             works.append(float(positive_work[-1]))
         return sum(works) / 3600.0
-
-
-class Followed(NamedTuple):
-    """A tracker with set-points.
-
-    Attributes:
-        scene: the tracker, whose controllers follow the moves between set-points.
-        loads: static loads at the poses of the set-points, without wind.
-        plan: moves between the set-points.
-    """
-
-    scene: Scene
-    loads: Loads
-    plan: Plan
-
-
-def pd_laws(scene: Scene) -> list[PD]:
-    """Return the controllers of a tracker.
-
-    Raises:
-        CrosscheckError: if the scene has none, or others than PD controllers.
-    """
-    laws = [law for law in scene.control if isinstance(law, PD)]
-    if not laws or len(laws) < len(scene.control):
-        raise CrosscheckError(
-            f"scene {scene.name!r}: set-points need PD controllers, such as position actuators of MJCF; "
-            "found none, or other controllers too"
-        )
-    return laws
-
-
-def check_tracker(scene: Scene) -> None:
-    """Check that a scene can be simulated for a day.
-
-    Raises:
-        CrosscheckError: for other controllers than `PD`, and for forces or motions that vary with time: they
-            would keep the scene from coming to rest between set-points.
-    """
-    pd_laws(scene)
-    for field, index, attribute in scene.functions:
-        if field != "control":
-            element = getattr(scene, field)[index].element
-            raise CrosscheckError(
-                f"scene {scene.name!r}: {element} has a function of time ({attribute}); needed: forces and "
-                "motions that do not vary, so that the tracker rests between set-points"
-            )
-
-
-def following(geared: Geared, poses: Poses, period: float, tracking: Tracking) -> Followed:
-    """Give a tracker set-points.
-
-    The feedforward of each PD controller is the static force of its set-point (`newton_euler.statics`), so
-    that weight causes no steady-state error. In a move it changes in proportion to the position.
-
-    Args:
-        geared: the tracker, with the gears of its motors; all its controllers are `PD`.
-        poses: poses of the n set-points, with the coordinates `geared.keys` measured.
-        period: time between set-points, s.
-        tracking: gives the largest speed and acceleration of the set-points.
-
-    Raises:
-        CrosscheckError: if a controller of the scene is not `PD`.
-    """
-    scene = geared.scene
-    laws = pd_laws(scene)
-    loads = statics(geared.planned, poses, geared.keys)
-    # moves from set-point to set-point
-    times = period * np.arange(len(poses))
-    positions = np.stack([poses.coordinates[key] for key in geared.keys], axis=1)
-    plan = plan_moves(times, positions, tracking.speed, tracking.acceleration)
-    control = tuple(
-        replace(
-            law,
-            target=plan.function(position / ratio),
-            feedforward=plan.function(force * ratio),
-            gravity_compensation=False,  # the feedforward holds the weight
-        )
-        for law, ratio, position, force in zip(
-            laws, geared.ratios, positions.T, loads.actuator_force.T, strict=True
-        )
-    )
-    start, end = geared.start(poses), float(times[-1])
-    driven = replace(scene, control=control, initial_state=start, duration=end, output_period=period)
-    return Followed(driven, loads, plan)
-
-
-def check_period(period: float) -> None:
-    """Raise `CrosscheckError` unless the time between set-points is from 1 s to 12 h."""
-    if not 1.0 <= period <= 43200.0:
-        raise CrosscheckError(f"period is {period:g} s; needed: 1 to 43200 s (12 h)")
 
 
 def tracker_day(
