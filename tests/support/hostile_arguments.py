@@ -339,16 +339,14 @@ def functions(folder: Path) -> list[Target]:
         (urdf.write, {"path": folder / "written.urdf"}),
         (crosscheck.sweep, {"vary": vary, **sampled, **placed, "integrator": "RK4", "step": 0.01}),
     ]
+    turbulence = {"mean": 10.0, "deviation": 1.5, "length": 11.0, "seed": 1}
+    turbulence |= {"lowest": 0.01, "highest": 10.0, "count": 4}
     found = [_target(call, {"scene": SWING, **arguments}) for call, arguments in given]
     files = [
         (ne.base_motion_from_csv, {"path": folder / "base.csv"}),
         (ne.measurements_from_csv, {"path": folder / "run.csv"}),
         (ne.wind_gust, {"mean": 10.0, "gust": 5.0, "period": 10.5}),
-        (
-            ne.wind_turbulence,
-            {"mean": 10.0, "deviation": 1.5, "length": 11.0, "seed": 1, "lowest": 0.01, "highest": 10.0}
-            | {"count": 4},
-        ),
+        *((call, turbulence) for call in (ne.wind_turbulence, ne.vertical_turbulence)),
         (mjcf.read, {"model": folder / "swing.xml", "key": None, "root": None, **read}),
         (
             urdf.read,
