@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from mechanisms import mass_on_rail
+from plate_coefficients import blended, separated_flow, slope
 from scipy.integrate import quad
 
 import mjcf
@@ -37,7 +38,8 @@ X, Y, Z = np.eye(3)
 SPEED = 20.0
 PRESSURE = 0.5 * 1.225 * SPEED**2
 CALM = 1e-6
-"""Of coefficients at 20 m/s: speeds are off by (0.01 m/s)^2 / 2 speed."""
+"""Relative error of loads at 20 m/s and angles of 20 degrees or more to both axes: the square of 0.01 m/s is
+added to that of each component of the wind, of which the smaller one is 6.8 m/s there."""
 
 
 def floating(*loads: WindLoad, velocity=(0.0, 0.0, 0.0)) -> Scene:
@@ -71,44 +73,30 @@ def test_plates_across_the_wind_have_hoerners_drag(length, width, coefficient, t
     assert np.abs([*force[:2], *torque]).max() < 1e-12
 
 
-def blended(degrees: float, ratio: float, longer: float) -> tuple[float, float]:
-    """Coefficient and its product with the lead in chords, by the formulas of `WindLoad` in degrees."""
-    a = np.radians(degrees)
-    stall = 7.6 + 19.5 / (1.0 + (ratio / 1.09) ** 8) + 14.9 / (1.0 + (ratio / 3.18) ** 2)
-    s = 1.0 / (1.0 + np.exp((stall - degrees) / 2.4))
-    potential = (1.0 - s) * slope(ratio) * np.sin(a) * np.cos(a)
-    vortex = (1.0 - s) * np.pi * np.sin(a) ** 2
-    separated = s * separated_flow(a, longer)
-    moment = 0.25 * potential + 0.08 * vortex + 0.175 * (1.0 - degrees / 90.0) * separated
-    return potential + vortex + separated, moment
-
-
-def slope(ratio: float) -> float:
-    return 2.0 * np.pi * ratio / (ratio + 2.0 * (ratio + 4.0) / (ratio + 2.0))
-
-
-def separated_flow(a, longer: float):
-    hoerner = 1.0 / (0.56 + 0.44 * np.sin(a))
-    return 1.98 * np.sin(a) * (hoerner - 0.41 * (1.0 - np.exp(-17.0 / longer)))
-
-
 def tilted(degrees: float) -> np.ndarray:
     return np.cos(np.radians(degrees)) * X + np.sin(np.radians(degrees)) * Z
 
 
-@pytest.mark.parametrize("degrees", [1.0, 9.4, 20.0, 45.0, 70.0, 110.0, 175.0, -30.0])
+@pytest.mark.parametrize(
+    ("degrees", "error"),
+    [
+        # 0.35, 3.3 and 1.7 m/s across the plate: only the term of vortices, small there, has their squares
+        (1.0, 5e-5), (9.4, 3e-6), (175.0, 7e-6),
+        (20.0, CALM), (45.0, CALM), (70.0, CALM), (110.0, CALM), (-30.0, CALM),
+    ],
+)  # fmt: skip
 @pytest.mark.parametrize(("length", "width"), [(3.0, 1.0), (1.0, 2.0), (1.0, 1.0)])
-def test_force_and_center_of_pressure_at_an_angle(degrees, length, width):
+def test_force_and_center_of_pressure_at_an_angle(degrees, error, length, width):
     """Along the first side, in front and from behind, by the formulas in degrees."""
     force, torque = acting(load(length, width, direction=tilted(degrees)))
     attack = np.degrees(np.arcsin(abs(np.sin(np.radians(degrees)))))
     coefficient, moment = blended(attack, width / length, max(length, width) / min(length, width))
     sign = np.sign(np.sin(np.radians(degrees)))
-    # 0.01 m/s beside the normal component, 0.35 m/s at 1 degree, and beside 7 m/s along the plate
     pressure = PRESSURE * length * width
-    assert force[2] == pytest.approx(sign * pressure * coefficient, rel=5e-4)
+    assert force[2] == pytest.approx(sign * pressure * coefficient, rel=error)
     towards = -np.sign(np.cos(np.radians(degrees)))  # the edge that the wind meets first
-    assert -torque[1] == pytest.approx(sign * towards * pressure * length * moment, rel=5e-4)
+    # the center moves, too, fastest at the stall: 18 degrees for the plate of 1 m by 2 m
+    assert -torque[1] == pytest.approx(sign * towards * pressure * length * moment, rel=2.0 * error)
     assert np.abs([force[0], force[1], torque[0], torque[2]]).max() < 1e-9
 
 
@@ -144,7 +132,10 @@ def test_all_angles_follow_the_published_table(ratio, low, high):
     wanted = np.where(a <= low, attached(a), np.where(a >= high, separated_flow(a, longer), between))
     forces = [acting(load(1.0, ratio, direction=tilted(angle)))[0][2] for angle in degrees]
     errors = np.array(forces) / (PRESSURE * ratio) - wanted
-    assert np.abs(errors).max() < 0.2
+    # The table has kinks and is linear between them; `WindLoad` has one smooth transition, whose angle is a
+    # fit over all R. Largest difference, at R = 0.4, 0.5 and 1: 0.18 to 0.19 of 1.2 to 1.5, at the kinks and
+    # between them. Root mean square 0.058 at R = 0.5, 0.01 to 0.05 elsewhere
+    assert np.abs(errors).max() < 0.19
     assert np.sqrt(np.mean(errors**2)) < 0.06
 
 
@@ -163,7 +154,10 @@ def test_measured_plates_of_aspect_ratio_two(degrees, lift, drag):
     """A. Pelletier and T. J. Mueller, Journal of Aircraft 37(5), 2000, Re = 140,000, as read by a program."""
     force, _ = acting(load(1.0, 2.0, direction=tilted(degrees)))
     measured = lift * np.cos(np.radians(degrees)) + drag * np.sin(np.radians(degrees))
-    assert force[2] / (2.0 * PRESSURE) == pytest.approx(measured, rel=0.12)
+    # -2 to 3 % up to 10 degrees, of values with two digits. Then the flow separates: attached flow by the
+    # formulas has 16 % more force than measured at 15 degrees, separated flow 4 % more at 25 degrees, and
+    # what lies between both 6 to 10 %
+    assert force[2] / (2.0 * PRESSURE) == pytest.approx(measured, rel=0.11)
 
 
 def test_a_square_has_the_same_coefficient_for_wind_along_its_diagonal():
