@@ -184,9 +184,16 @@ def slider_tree() -> Scene:
     return Scene("slider_tree", Mechanism(bodies, joints), 1.0, 0.1, GRAVITY)
 
 
-def planar_four_bar() -> Scene:
-    """A flat loop of four hinges: one freedom, three equations redundant."""
-    a, b, c, d = [0.0, 0.0, 0.0], [0.1, 0.0, 0.4], [0.9, 0.0, 0.7], [1.0, 0.0, 0.0]
+def planar_four_bar(
+    pin: tuple[float, float] = (0.1, 0.4), wrist: tuple[float, float] = (0.9, 0.7), foot: float = 1.0
+) -> Scene:
+    """A flat loop of four hinges: one freedom, three equations redundant.
+
+    Args:
+        pin, wrist: (2,) x and z of the coupler's ends at the crank and at the rocker, m.
+        foot: x of the rocker's foot, m; the crank's foot is at the origin.
+    """
+    a, b, c, d = ([x, 0.0, z] for x, z in ((0.0, 0.0), pin, wrist, (foot, 0.0)))
     bodies = [Body.ground(), bar("crank", a, b), bar("coupler", b, c, 2.0), bar("rocker", d, c, 1.5)]
     joints = [
         Revolute("at_a", "ground", "crank", a, axis=[0.0, 1.0, 0.0]),

@@ -8,6 +8,7 @@ truncation (W. Squire, G. Trapp, SIAM Review 40(1), 1998).
 from __future__ import annotations
 
 import numpy as np
+from finite_difference import derivative
 
 from crosscheck.library.excavator import (
     BOOM_ANGLE,
@@ -43,7 +44,7 @@ def apex(start, end, first, second):
 
 
 def direction_with(origin, point, of_point):
-    # the boom: the rod's pin is left of the line from the boom's pin to the cylinder's foot
+    """Direction of a frame at `origin` in which `point` has the components `of_point`."""
     (a, b), (x, z) = point - origin, of_point
     scale = x * x + z * z
     return vector((a * x + b * z) / scale, (b * x - a * z) / scale)
@@ -152,14 +153,10 @@ def motion(displacements, rates):
 
 
 def acceleration(displacements, rates, accelerations):
-    """Accelerations (n, 2) and angular accelerations (n,): central differences of order 4 of `motion`."""
-    d, v, a, h = *map(np.asarray, (displacements, rates, accelerations)), 1e-3
-    total = [0.0, 0.0]
-    for k, weight in ((-2, 1.0), (-1, -8.0), (1, 8.0), (2, -1.0)):
-        t = k * h
-        for part, value in enumerate(motion(d + t * v + 0.5 * t * t * a, v + t * a)):
-            total[part] = total[part] + weight * value / (12.0 * h)
-    return total
+    """Accelerations (n, 2) and angular accelerations (n,): finite differences of `motion`."""
+    d, v, a = map(np.asarray, (displacements, rates, accelerations))
+    by_time = derivative(lambda t: np.column_stack(motion(d + t * v + 0.5 * t * t * a, v + t * a)))
+    return by_time[:, :2], by_time[:, 2]
 
 
 REST = (0.0, 0.0, 0.0)
@@ -182,8 +179,8 @@ def cylinder_forces(displacements, rates=REST, accelerations=REST, soil=0.0, dig
     return np.array(forces)
 
 
-def kinetic_energy(displacements, rates, soil=0.0):
-    """Kinetic energy, J."""
-    mass, moment = masses(soil)
+def kinetic_energy(displacements, rates):
+    """Kinetic energy without soil, J."""
+    mass, moment = masses(0.0)
     velocity, turning = motion(displacements, rates)
     return 0.5 * (np.sum(mass[:, None] * velocity**2) + np.sum(moment * turning**2))

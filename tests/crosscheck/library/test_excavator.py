@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import planar_excavator as plane
 import pytest
+from finite_difference import jacobian
 from scipy.integrate import simpson
 from scipy.linalg import eigvals
 
@@ -124,13 +125,11 @@ def test_modes_of_the_arm_by_lagrange():
     damping = np.diag([each.damping for each in CYLINDERS.values()])
     feedforward = np.array([law.feedforward for law in scene.control])
 
-    # equilibrium by fixed-point iteration, then the Hessian of the potential energy by central differences
+    # equilibrium by fixed-point iteration, then the Hessian of the potential energy by finite differences
     d = np.zeros(3)
     for _ in range(30):
         d = np.linalg.solve(stiffness, feedforward - plane.cylinder_forces(d))
-    h = 1e-4
-    sides = [plane.cylinder_forces(d + h * e) - plane.cylinder_forces(d - h * e) for e in np.eye(3)]
-    hessian = np.array(sides) / (2.0 * h)
+    hessian = jacobian(lambda e: plane.cylinder_forces(d + e), 3)
     mass = np.array(
         [plane.cylinder_forces(d, accelerations=e) - plane.cylinder_forces(d) for e in np.eye(3)]
     ).T

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from mechanisms import mass_on_rail
+from mechanisms import MASS, STIFFNESS, mass_on_rail
 from scipy.integrate import cumulative_trapezoid, solve_ivp
 from simulations import SIMULATIONS
 
@@ -16,8 +16,8 @@ from newton_euler.errors import MechanismError
 from newton_euler.model.control import PD
 from newton_euler.model.splines import Moves
 
-MASS, STIFFNESS, DAMPING = 2.0, 50.0, 4.0
-"""kg of `mass_on_rail`, N/m, N s/m of the law."""
+DAMPING = 4.0
+"""N s/m, of the controller."""
 
 MOVES = Moves((0.25, 1.0, 1.3, 1.7), (0.05, 0.2, 0.2, -0.1), (0.2, 0.1, 0.2))
 """A trapezoid, a rest, and a triangle."""

@@ -7,15 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import tracker_loops
-from mechanisms import bar, planar_four_bar
+from mechanisms import planar_four_bar
 
 from crosscheck.library import load
 from newton_euler import (
     Axis,
-    Body,
-    Mechanism,
-    Revolute,
-    Scene,
     assembly_branches,
     solve_poses,
     statics,
@@ -74,17 +70,10 @@ def test_the_rocker_of_a_folding_four_bar_is_beyond_where_it_changed_its_side():
 
     No side turns all around, as the shortest and the longest are longer together than the others (Grashof).
     """
-    a, b, c, d = [0.0] * 3, [0.3, 0.0, 0.4], [0.7, 0.0, 0.7], [1.2, 0.0, 0.0]
+    a, b, c, d = (0.0, 0.0), (0.3, 0.4), (0.7, 0.7), (1.2, 0.0)
     lengths = [np.linalg.norm(np.subtract(*ends)) for ends in ((b, a), (c, b), (c, d), (d, a))]
     assert min(lengths) + max(lengths) > 0.5 * sum(lengths)
-    bodies = [Body.ground(), bar("crank", a, b), bar("coupler", b, c), bar("rocker", d, c)]
-    joints = [
-        Revolute("at_a", "ground", "crank", a, axis=[0.0, 1.0, 0.0]),
-        Revolute("at_b", "crank", "coupler", b, axis=[0.0, 1.0, 0.0]),
-        Revolute("at_c", "coupler", "rocker", c, axis=[0.0, 1.0, 0.0]),
-        Revolute("at_d", "ground", "rocker", d, axis=[0.0, 1.0, 0.0]),
-    ]
-    scene = Scene("folding", Mechanism(bodies, joints), 1.0, 0.1)
+    scene = planar_four_bar(b, c, d[0])
     found = assembly_branches(scene, {"at_a": 0.1}, measure=("at_d",))
     assert found.poses.beyond.tolist() == [False, True]
     # the rocker turns through all of its range, and so through both modes; the crank turns back and forth

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from finite_difference import derivative
-from mechanisms import bar, planar_four_bar, slider_tree
+from mechanisms import planar_four_bar, slider_tree
 from scipy.ndimage import label
 
 from crosscheck.library import load
@@ -17,7 +17,6 @@ from newton_euler import (
     Body,
     Mechanism,
     PrescribedMotion,
-    Revolute,
     Scene,
     Screw,
     Sine,
@@ -125,15 +124,7 @@ def test_linkages_that_are_almost_parallelograms_stay_on_their_branch(gap):
         return pin + (along * reach + up * np.stack([-reach[:, 1], reach[:, 0]], axis=1)) / distance
 
     (end,) = wrist(np.array([first]))
-    a, b, c, d = [0.0] * 3, [np.cos(first), 0.0, np.sin(first)], [end[0], 0.0, end[1]], [ground, 0.0, 0.0]
-    bodies = [Body.ground(), bar("crank", a, b), bar("coupler", b, c), bar("rocker", d, c)]
-    joints = [
-        Revolute("at_a", "ground", "crank", a, axis=[0.0, 1.0, 0.0]),
-        Revolute("at_b", "crank", "coupler", b, axis=[0.0, 1.0, 0.0]),
-        Revolute("at_c", "coupler", "rocker", c, axis=[0.0, 1.0, 0.0]),
-        Revolute("at_d", "ground", "rocker", d, axis=[0.0, 1.0, 0.0]),
-    ]
-    scene = Scene("almost", Mechanism(bodies, joints), 1.0, 0.1)
+    scene = planar_four_bar((np.cos(first), np.sin(first)), tuple(end), ground)
     angles = np.linspace(-3.1, 3.1, 63)  # rotations about y turn z towards x
     crank = first - angles
     poses = solve_poses(scene, {"at_a": angles}, measure=["at_d"])
