@@ -14,7 +14,12 @@ import mujoco
 import numpy as np
 
 from mjcf.layout import element_name
-from newton_euler.reading.friction_and_stops import FrictionAndStops
+from newton_euler.reading.friction_and_stops import (
+    STICK_TIME,
+    STOP_DISSIPATION,
+    STOP_RATE,
+    FrictionAndStops,
+)
 from newton_euler.reading.import_report import FRICTION, LIMITS, ImportReport
 from newton_euler.scalars import Array
 
@@ -55,17 +60,20 @@ def approximated(model: Any, report: ImportReport) -> FrictionAndStops:
     rows = _rows(model)
     for k in _single_joints(model).tolist():
         dof, element = int(model.jnt_dofadr[k]), element_name(model, "joint", k)
+        mobility = float(model.dof_invweight0[dof])  # acceleration per force
         if (element, FRICTION) in topics:
             damping, weight, friction, _ = rows[int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF), dof]
-            found.friction[dof], found.speed[dof] = friction, friction / (weight * damping)
+            # rows without damping or stiffness: the numbers for formats without softness
+            speed = friction / (weight * damping) if damping else STICK_TIME * friction * mobility
+            found.friction[dof], found.speed[dof] = friction, speed
         if (element, LIMITS) in topics:
             damping, weight, _, stiffness = rows[int(mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT), k]
             low, high = model.jnt_range[k]
             margin = model.jnt_margin[k]
             found.low[dof] = low + margin if abs(low) < MAX_NO_LIMIT else -np.inf
             found.high[dof] = high - margin if abs(high) < MAX_NO_LIMIT else np.inf
-            found.stiffness[dof] = weight * stiffness
-            found.dissipation[dof] = damping / (stiffness * DAMPED_DEPTH)
+            found.stiffness[dof] = weight * stiffness if stiffness else STOP_RATE / mobility
+            found.dissipation[dof] = damping / (stiffness * DAMPED_DEPTH) if stiffness else STOP_DISSIPATION
     return found
 
 

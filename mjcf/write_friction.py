@@ -4,11 +4,12 @@ MuJoCo simulates both by constraints, whose softness the attributes `solref...` 
 rule see `mjcf.reading.friction_and_limits`, which reads these attributes: with the softness written here, a
 joint that sticks creeps as in the scene, a stop has the same stiffness, and the same damping at the depth
 `DAMPED_DEPTH`. The Stribeck effect is left out. A joint has one softness for both of its limits, that of the
-stiffer stop.
+stiffer stop. A stop of stiffness 0 exerts nothing, and is no limit.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from typing import Any
 
 import mujoco
@@ -16,7 +17,7 @@ import mujoco
 from mjcf.layout import number, numbers
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import coordinate_name
-from newton_euler.model.switched_forces import JointFriction, JointStop
+from newton_euler.model.switched_forces import JointFriction, JointStop, acting_stops
 from newton_euler.reading.approximations import DAMPED_DEPTH, NO_LIMIT
 
 FRICTION_IMPEDANCE, LIMIT_IMPEDANCE = 0.9, 0.95
@@ -37,21 +38,20 @@ def constraint_attributes(scene: Scene, document: str) -> dict[str, dict[str, st
         ValueError: if MuJoCo refuses the document.
     """
     model: Any = mujoco.MjModel.from_xml_string(document)
-    attributes: dict[str, dict[str, str]] = {}
-    stops: dict[str, list[JointStop]] = {}
+    attributes = defaultdict[str, dict[str, str]](dict)
     for force in scene.switched_forces:
-        if not isinstance(force, JointFriction | JointStop):  # elastic gears have no attributes
-            continue
-        name = coordinate_name(scene.mechanism.joint(force.joint), force.coordinate)
-        inverse_inertia = float(model.dof_invweight0[model.joint(name).dofadr[0]])
-        of_joint = attributes.setdefault(name, {})
-        if isinstance(force, JointStop):
-            stops.setdefault(name, []).append(force)
-            stiffest = max(stops[name], key=lambda stop: stop.stiffness)
-            of_joint |= _limit_attributes(stops[name], stiffest, inverse_inertia)
-        elif force.coulomb:
-            of_joint |= _friction_attributes(force, inverse_inertia)
+        if isinstance(force, JointFriction) and force.coulomb:
+            name = coordinate_name(scene.mechanism.joint(force.joint), force.coordinate)
+            attributes[name] |= _friction_attributes(force, _mobility(model, name))
+    for (joint, coordinate), stops in acting_stops(scene.switched_forces).items():
+        name = coordinate_name(scene.mechanism.joint(joint), coordinate)
+        attributes[name] |= _limit_attributes(stops, _mobility(model, name))
     return attributes
+
+
+def _mobility(model: Any, joint: str) -> float:
+    """Return the acceleration per force of a joint, by MuJoCo."""
+    return float(model.dof_invweight0[model.joint(joint).dofadr[0]])
 
 
 def _friction_attributes(force: JointFriction, inverse_inertia: float) -> dict[str, str]:
@@ -66,7 +66,7 @@ def _friction_attributes(force: JointFriction, inverse_inertia: float) -> dict[s
     }
 
 
-def _limit_attributes(stops: list[JointStop], stiffest: JointStop, inverse_inertia: float) -> dict[str, str]:
+def _limit_attributes(stops: list[JointStop], inverse_inertia: float) -> dict[str, str]:
     """Return the attributes of limits: stiffness D k d and damping D b at `DAMPED_DEPTH`.
 
     MuJoCo divides the stiffness in `solref` by d^2 and the damping by d.
@@ -74,6 +74,7 @@ def _limit_attributes(stops: list[JointStop], stiffest: JointStop, inverse_inert
     d, limits = LIMIT_IMPEDANCE, {"low": -NO_LIMIT, "high": NO_LIMIT}
     for stop in stops:
         limits[stop.side] = stop.limit
+    stiffest = max(stops, key=lambda stop: stop.stiffness)
     stiffness = stiffest.stiffness * (1.0 - d) * inverse_inertia
     damping = stiffest.dissipation * DAMPED_DEPTH * stiffness
     return {

@@ -17,7 +17,12 @@ import pinocchio as pin
 from newton_euler.equations.system import MassProperties
 from newton_euler.model.couplings import MAX_DEGREE
 from newton_euler.model.scene import Scene
-from newton_euler.reading.friction_and_stops import FrictionAndStops
+from newton_euler.reading.friction_and_stops import (
+    STICK_TIME,
+    STOP_DISSIPATION,
+    STOP_RATE,
+    FrictionAndStops,
+)
 from newton_euler.reading.import_report import (
     FRICTION,
     LIMITS,
@@ -71,11 +76,6 @@ class PointSpring(NamedTuple):
 
 GRAVITY_ONLY = np.eye(len(FORCE_KINDS))[FORCE_KINDS.index("gravity")][:, None]
 """Factors (kinds, 1) that keep the row of gravity in forces (kinds, nv) of all `FORCE_KINDS`."""
-
-
-STICK_TIME, STOP_RATE, STOP_DISSIPATION = 1e-3, 5e4, 40.0
-"""Numbers of dry friction and limits as forces, which a URDF does not have: time, s, in which friction takes
-the transition speed; stiffness of stops per inertia, 1/s^2; and dissipation of stops, s/m or s/rad."""
 
 
 class PinocchioReference(ReferenceModel):

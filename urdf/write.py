@@ -255,7 +255,7 @@ def _coordinate_properties(scene: Scene) -> dict[str, CoordinateProperties]:
                 found[name] = known._replace(damping=known.damping + force.damping)
             elif isinstance(force, JointFriction):
                 found[name] = known._replace(friction=force.coulomb)
-            else:
+            elif force.stiffness:  # a stop without stiffness exerts nothing
                 found[name] = known._replace(**{force.side: force.limit})
     return found
 

@@ -12,9 +12,8 @@ from typing import assert_never
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.control import PD
 from newton_euler.model.forces import JointSpring
-from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
-from newton_euler.model.switched_forces import ElasticGear, JointFriction, JointStop
+from newton_euler.model.switched_forces import ElasticGear, JointFriction, JointStop, acting_stops
 from newton_euler.model.wind import WindLoad
 from newton_euler.reading.import_report import CONTROL, FORCE, FRICTION, LIMITS, ROTOR, ImportReport
 from urdf.write import loops_path
@@ -94,7 +93,7 @@ def _leave_out_of_mjcf(scene: Scene, report: ImportReport) -> None:
         friction="frictionloss, with the creep of the scene by solreffriction",
         stop="range, with the stiffness of the scene by solreflimit, and its damping at 1 mm or 1 mrad",
     )
-    for key, sides in _stops_by_coordinate(scene).items():
+    for key, sides in acting_stops(scene.switched_forces).items():
         if len({(stop.stiffness, stop.dissipation) for stop in sides}) > 1:
             stiffest = max(sides, key=lambda stop: stop.stiffness)
             for stop in sides:
@@ -148,21 +147,14 @@ def _approximate(scene: Scene, report: ImportReport, friction: str, stop: str) -
             if force.is_loaded:
                 why = "its friction that grows with the reaction: the format has Coulomb friction alone"
                 report.left_out(force.element, why, topic="load coefficient")
+        elif isinstance(force, JointStop) and not force.stiffness:
+            report.left_out(force.element, "its stiffness is 0: it exerts nothing", moves_nothing=True)
         elif isinstance(force, JointStop):
             report.approximated(force.element, f"as {stop}", LIMITS)
         elif isinstance(force, ElasticGear):
             continue  # each format has its own entry
         else:
             assert_never(force)
-
-
-def _stops_by_coordinate(scene: Scene) -> dict[Key, list[JointStop]]:
-    """Return the stops of a scene by joint coordinate."""
-    found: dict[Key, list[JointStop]] = {}
-    for force in scene.switched_forces:
-        if isinstance(force, JointStop):
-            found.setdefault(force.key, []).append(force)
-    return found
 
 
 def _leave_out_kind(report: ImportReport, became: str, why: str, elements: list[str]) -> None:

@@ -44,6 +44,9 @@ from newton_euler.scalars import Array
 MIN_IMPEDANCE, MAX_IMPEDANCE = 1e-4, 0.9999
 """Range of MuJoCo's impedances d."""
 
+DEFAULT_SOLREF = 0.02, 1.0
+"""MuJoCo's default of `solref`: time constant, s, and damping ratio."""
+
 
 def friction_and_limits(
     start: ModelAtStart, joints: Joints, request: Request, report: ImportReport
@@ -147,13 +150,15 @@ def _impedances(solimp: Array) -> tuple[float, float]:
 def _reference_rates(start: ModelAtStart, solref: Array, solimp: Array) -> tuple[float, float]:
     """Return stiffness k, 1/s^2, and damping b, 1/s, of the reference acceleration of a constraint.
 
-    `solref` is a time constant and a damping ratio, or, if both are negative, minus stiffness and damping.
+    `solref` is a time constant and a damping ratio, or, if none is positive, minus stiffness and damping.
+    MuJoCo replaces a `solref` with only one positive number by `DEFAULT_SOLREF`.
     """
     _, deep = _impedances(solimp)
     first, second = (float(x) for x in solref[:2])
+    if (first > 0.0) != (second > 0.0):
+        first, second = DEFAULT_SOLREF
     if first <= 0.0:
         return -first / deep**2, -second / deep
     if not start.disabled("REFSAFE"):
         first = max(first, 2.0 * float(start.model.opt.timestep))
-    stiffness = 1.0 / (deep * first * second) ** 2 if second else 0.0
-    return stiffness, 2.0 / (deep * first)
+    return 1.0 / (deep * first * second) ** 2, 2.0 / (deep * first)

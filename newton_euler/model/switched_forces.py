@@ -12,7 +12,7 @@ Forces are in N or N m, coordinates in m or rad from the initial pose.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, Self
 
@@ -396,3 +396,12 @@ class ElasticGear(Named, SwitchedForce):
 
 SwitchedElement = JointFriction | JointStop | ElasticGear
 """Every kind of switched force."""
+
+
+def acting_stops(forces: Iterable[SwitchedElement]) -> dict[Key, list[JointStop]]:
+    """Return the stops by joint coordinate, without those of stiffness 0, which exert nothing."""
+    found: dict[Key, list[JointStop]] = {}
+    for force in forces:
+        if isinstance(force, JointStop) and force.stiffness:
+            found.setdefault(force.key, []).append(force)
+    return found

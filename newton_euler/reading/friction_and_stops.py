@@ -22,6 +22,11 @@ CHOICE_TOLERANCE = 1e-2
 """Largest relative difference of a number that the reader has chosen, such as a transition speed. Where
 rounded digits of a file decide which motions are free, inertias at the start are not more accurate."""
 
+STICK_TIME, STOP_RATE, STOP_DISSIPATION = 1e-3, 5e4, 40.0
+"""Numbers of dry friction and limits as forces in files without softness: time, s, in which friction takes
+the transition speed; stiffness of stops per inertia, 1/s^2; and dissipation of stops, s/m or s/rad. They
+repeat the reader's `DEFAULT_SOFTNESS`, which the reference models verify."""
+
 
 @dataclass(frozen=True, eq=False)
 class FrictionAndStops:

@@ -41,7 +41,7 @@ from newton_euler.model.spanning_tree import (
     motion_names,
     weld_loops,
 )
-from newton_euler.model.switched_forces import JointFriction, JointStop
+from newton_euler.model.switched_forces import JointFriction, JointStop, acting_stops
 from newton_euler.reading.robot import (
     IN_PLACE,
     FileBody,
@@ -172,17 +172,13 @@ class _Description:
     def _coordinate_numbers(self, joint: str, coordinate: int) -> dict[str, Any]:
         """Return the numbers of a joint coordinate, such as the stiffness, by names of `FileJoint`."""
         numbers: dict[str, Any] = {}
-        low, high = -math.inf, math.inf
         for force in self._scene.switched_forces:
-            if isinstance(force, JointFriction | JointStop) and force.key == (joint, coordinate):
-                if isinstance(force, JointFriction):
-                    numbers["friction"] = float(force.coulomb)
-                elif force.side == "low":
-                    low = float(force.limit)
-                else:
-                    high = float(force.limit)
-        if (low, high) != (-math.inf, math.inf):
-            numbers["limits"] = (low, high)
+            if isinstance(force, JointFriction) and force.key == (joint, coordinate):
+                numbers["friction"] = float(force.coulomb)
+        if stops := acting_stops(self._scene.switched_forces).get((joint, coordinate)):
+            limits = {"low": -math.inf, "high": math.inf}
+            limits |= {stop.side: float(stop.limit) for stop in stops}
+            numbers["limits"] = limits["low"], limits["high"]
         for element in (*self._scene.forces, *self._scene.armatures):
             if isinstance(element, JointSpring | Armature) and (
                 (element.joint, element.coordinate) == (joint, coordinate)

@@ -12,6 +12,7 @@ import pytest
 
 from crosscheck.compare.activity import watched_in_new_run
 from crosscheck.own_run.judge import judge
+from mjcf.errors import collected_warnings
 from mjcf.reader import Reading, read
 from newton_euler.errors import UnknownNameError, VerificationError
 from newton_euler.model.switched_forces import JointFriction, JointStop
@@ -30,9 +31,12 @@ SOFT = (
     "",
     'solreffriction="0.01 1" solimpfriction="0.8 0.9 1" solreflimit="0.03 0.7" solimplimit="0.7 0.97 1e-2"',
     'solreffriction="-500 -60" solreflimit="-4000 -80" solimplimit="0.7 0.7 0.01"',
+    'solreffriction="0.01 -1" solreflimit="0.03 0"',
+    'solreffriction="-1 20" solreflimit="0 0.7"',
 )
-"""Softness of friction and limits: the default, by time constants, and by stiffness and damping. With stops
-the depth is larger than the width of the impedance."""
+"""Softness of friction and limits: the default, by time constants, by stiffness and damping, and by one
+positive number, for which MuJoCo has the default. With stops the depth is larger than the width of the
+impedance."""
 
 
 def block(tmp_path: Path, joint: str, option: str = "", **state: float) -> str:
@@ -53,7 +57,8 @@ def mujocos(path: str, seconds: float) -> Any:
     model: Any = mujoco.MjModel.from_xml_path(path)
     data: Any = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
-    mujoco.mj_step(model, data, round(seconds / model.opt.timestep))
+    with collected_warnings(data):  # of a `solref` that MuJoCo replaces
+        mujoco.mj_step(model, data, round(seconds / model.opt.timestep))
     return data
 
 
@@ -86,6 +91,22 @@ def test_the_numbers_are_those_of_the_default_softness(tmp_path: Path) -> None:
     assert friction.transition_speed == pytest.approx(2.0 / 3.0 * (0.1 / 0.9) / damping)
     assert low.stiffness == pytest.approx(3.0 * 0.95 / 0.05 * stiffness)
     assert low.dissipation * 1e-3 == pytest.approx(damping / stiffness)  # at a depth of 1 mm
+
+
+def test_friction_without_damping_and_limits_without_stiffness_have_default_numbers(tmp_path: Path) -> None:
+    """MuJoCo's rows have no damping and no stiffness, and cannot give a transition speed and a stop."""
+    soft = 'solreffriction="-1 -0" solreflimit="-0 -0"'
+    path = block(tmp_path, f'frictionloss="2" range="-0.2 0.1" {soft}')
+    model: Any = mujoco.MjModel.from_xml_path(path)
+    data: Any = mujoco.MjData(model)
+    data.qpos[0] = 0.3
+    mujoco.mj_forward(model, data)
+    assert not np.any(data.efc_KBIP[:, :2])
+    found = as_forces(path)
+    low, _, friction = found.scene.forces
+    assert friction.transition_speed == pytest.approx(1e-3 * 2.0 / 3.0)
+    assert (low.stiffness, low.dissipation) == (pytest.approx(5e4 * 3.0), 40.0)
+    verify_report(found.report)  # raises if the rows of MuJoCo give other numbers
 
 
 def test_limits_count_from_the_start_and_begin_at_their_margin(tmp_path: Path) -> None:

@@ -105,6 +105,24 @@ def test_a_written_urdf_has_friction_and_limits(cart: Scene, tmp_path: Path) -> 
     }
 
 
+@pytest.mark.parametrize("suffix", ["xml", "urdf"])
+def test_a_stop_without_stiffness_is_no_limit_of_a_written_file(
+    suffix: str, cart: Scene, tmp_path: Path
+) -> None:
+    (soft,) = (force for force in cart.forces if isinstance(force, JointStop) and force.limit == 0.1)
+    forces = tuple(replace(force, stiffness=0.0) if force is soft else force for force in cart.forces)
+    scene, path = replace(cart, forces=forces), tmp_path / f"cart.{suffix}"
+    report = scene_report(scene)
+    write_as(scene, path, report)
+    assert soft.element not in {entry.element for entry in report.of("approximated")}
+    assert {entry.moves_nothing for entry in report.of("left out") if entry.element == soft.element} == {True}
+    write_scene(scene, tmp_path / "soft.yaml")
+    for file in (path, tmp_path / "soft.yaml"):  # the same robot, so that `diff` finds no difference
+        bodies = describe_model(str(file), {}).robot.bodies
+        limits = {each.name: each.limits for body in bodies for each in body.joints}
+        assert limits["rail"] == (-0.2, math.inf)
+
+
 def test_mujoco_as_an_engine_has_them_as_forces_alone(cart: Scene) -> None:
     """The constraints of a written file would act a second time."""
     model = RigidMuJoCo(cart).model
