@@ -28,9 +28,44 @@ class Closest(NamedTuple):
     bodies: Array
 
 
-def clearances(mechanism: Mechanism, position: Array, quaternion: Array) -> Array:
+def clearances(
+    mechanism: Mechanism, position: Array, quaternion: Array, left_out: Collection[frozenset[str]] = ()
+) -> Array:
     """Compute the smallest distance (n,), m, between bodies that no joint connects, see `closest`."""
-    return closest(mechanism, position, quaternion).distance
+    return closest(mechanism, position, quaternion, left_out).distance
+
+
+def pairs_within(
+    mechanism: Mechanism,
+    position: Array,
+    quaternion: Array,
+    distance: float = 0.0,
+    left_out: Collection[frozenset[str]] = (),
+) -> set[frozenset[str]]:
+    """Find the pairs of bodies that no joint connects and that are near each other in one pose.
+
+    Pairs that overlap in the pose in which a mechanism is drawn (distance 0) overlap by design, such as a
+    shaft that stands in a box; their clearance means nothing in other poses.
+
+    Args:
+        mechanism, left_out: as of `closest`.
+        position, quaternion: (b, 3) m and (b, 4), the pose.
+        distance: m, up to which a pair counts as near.
+
+    Returns:
+        Names of the bodies of each pair.
+    """
+    found = set[frozenset[str]]()
+    while True:
+        nearest = closest(mechanism, position[None], quaternion[None], found | set(left_out))
+        if nearest.distance[0] > distance:
+            return found
+        found.add(frozenset(mechanism.body_names[k] for k in nearest.bodies[0]))
+
+
+def pair_names(pairs: Collection[frozenset[str]]) -> str:
+    """Return the names of pairs of bodies for a message, such as "base and leg_5, base and leg_6"."""
+    return ", ".join(" and ".join(pair) for pair in sorted(map(sorted, pairs)))
 
 
 def closest(
@@ -38,6 +73,7 @@ def closest(
     position: Array,
     quaternion: Array,
     left_out: Collection[frozenset[str]] = (),
+    among: Collection[frozenset[str]] | None = None,
 ) -> Closest:
     """Find the smallest distance between shapes of bodies that no joint connects.
 
@@ -46,6 +82,7 @@ def closest(
         position: (n, b, 3) m, centers of mass of all bodies, world frame.
         quaternion: (n, b, 4) orientations (w, x, y, z) of all bodies.
         left_out: names of other pairs of bodies that are not examined.
+        among: names of the only pairs of bodies that are examined; None for all.
     """
     import mujoco
 
@@ -68,7 +105,8 @@ def closest(
     names = mechanism.body_names
     pairs = []
     for (geom_1, body_1), (geom_2, body_2) in combinations(enumerate(body_of_geom), 2):
-        if body_1 != body_2 and frozenset((names[body_1], names[body_2])) not in joined:
+        pair = frozenset((names[body_1], names[body_2]))
+        if body_1 != body_2 and pair not in joined and (among is None or pair in among):
             pairs.append((geom_1, geom_2))
     smallest, bodies = np.full(len(position), np.inf), np.zeros((len(position), 2), dtype=int)
     if not pairs:

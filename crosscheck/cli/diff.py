@@ -109,7 +109,11 @@ def compare_and_show(
         comparison = compare_models(models, options, names, tolerance, progress, geometry)
     found = report(comparison)
     summary = markdown(replace(found, parts=found.summary)).encode()
-    contents = as_json(comparison.summary(), found), summary, sarif(comparison)
+    numbers = comparison.summary()
+    # the models as they were named: a scene has no file of its own, and the folder would belong to no model
+    for described, name in zip(numbers["models"], models, strict=True):
+        described["source"] = name
+    contents = as_json(numbers, found), summary, sarif(comparison)
     write_files(dict(zip(paths, contents, strict=True)))
     page = write_report(folder, lambda _: None)
     show(found, f"wrote {', '.join(map(str, [page, *paths]))}")

@@ -23,6 +23,7 @@ from crosscheck.report.render import as_json
 from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, number_columns
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.files import write_files
+from mjcf.clearance import pair_names
 from newton_euler import Axis, Point, Scene
 from newton_euler.errors import is_count, plain_number
 from newton_euler.model.joint import Key
@@ -111,6 +112,9 @@ def report(found: WorkspaceMap) -> Report:
         parts.append(Lines("", [text, advice], verdict="doubtful"))
     elif reached:
         parts.append(Lines("", [ONE_BRANCH]))
+    if found.left_out:
+        text = f"overlap in the initial pose, so never examined: {pair_names(found.left_out)}"
+        parts.append(Lines("", [text], verdict="doubtful"))
     return Report(f"{found.scene.name}: workspace over {names}", verdict, judged, parts, summary=parts)
 
 
@@ -246,6 +250,7 @@ def _data(found: WorkspaceMap) -> dict[str, Any]:
         "points": space.reachable.size,
         "reachable": len(found.clearance),
         "without_collision": int(np.sum(~found.collides)) if found.has_shapes else None,
+        "overlapping_in_the_initial_pose": sorted(map(sorted, found.left_out)),
         "ranges": quantities,
         "extremes": [
             {

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import cached_property
 
 import numpy as np
 
 from crosscheck.support.errors import CrosscheckError
-from mjcf.clearance import clearances
-from newton_euler import Axis, Point, Poses, Scene, Workspace, singular_poses, workspace
+from mjcf.clearance import clearances, pairs_within
+from newton_euler import Axis, Point, Poses, Scene, Workspace, initial_state, singular_poses, workspace
 from newton_euler.model.joint import Key
 from newton_euler.scalars import Array
 
@@ -36,6 +36,7 @@ class WorkspaceMap:
         singular: singular poses of all assembly branches.
         clearance: (n,) m, smallest distance between bodies at each reachable pose; negative if bodies
             collide, infinite if bodies have no shapes.
+        left_out: pairs of bodies whose shapes overlap in the initial pose, by design; they are not examined.
         axis, point: the axis and the point of a body that are mapped, or None.
     """
 
@@ -47,9 +48,11 @@ class WorkspaceMap:
         clearance: Array,
         axis: Axis | None = None,
         point: Point | None = None,
+        left_out: Collection[frozenset[str]] = (),
     ) -> None:
         """Keep the results; see the attributes."""
         self.scene, self.space, self.singular, self.clearance = scene, space, singular, clearance
+        self.left_out = left_out
         self.axis, self.point = axis, point
 
     def unit(self, name: str | Key) -> str:
@@ -166,6 +169,7 @@ def measure(
     progress("searching singular configurations")
     singular = singular_poses(scene, list(grid), SINGULAR_SEARCHES)
     progress("measuring clearances")
-    poses = space.poses
-    distances = clearances(scene.mechanism, poses.position, poses.quaternion)
-    return WorkspaceMap(scene, space, singular, distances, axis, point)
+    start, poses = initial_state(scene), space.poses
+    left_out = pairs_within(scene.mechanism, start.position, start.quaternion)
+    distances = clearances(scene.mechanism, poses.position, poses.quaternion, left_out)
+    return WorkspaceMap(scene, space, singular, distances, axis, point, left_out)

@@ -20,7 +20,7 @@ from crosscheck.solar.moves import Plan
 from crosscheck.solar.one_axis import turns_about_one_axis
 from crosscheck.solar.place import tilted
 from crosscheck.solar.tracking import UP, Tracking
-from mjcf.clearance import closest
+from mjcf.clearance import Closest, closest, pair_names, pairs_within
 from newton_euler import Axis, Poses, Scene, solve_poses
 from newton_euler.analysis.kinematics.configurations import smallest_turns
 from newton_euler.model.joint import Key
@@ -85,8 +85,10 @@ class Obstacles:
     """Obstacles of a tracker.
 
     Attributes:
-        left_out: pairs of bodies that are too close even if the panel lies flat, for example because their
-            shapes overlap by design; such pairs are not examined.
+        left_out: pairs of bodies whose shapes overlap even if the panel lies flat, by design; such pairs are
+            not examined.
+        near: other pairs of bodies that are nearer than the clearance if the panel lies flat; such pairs are
+            too close in poses in which they overlap.
         can_avoid: True if the flat panel is free, from which free directions are searched.
     """
 
@@ -99,11 +101,11 @@ class Obstacles:
         """
         self._scene, self._axis, self._tracking = scene, axis, tracking
         self._keys = [law.key for law in scene.control] if keys is None else list(keys)
-        self.left_out: set[frozenset[str]] = set()
-        flat, names = self.poses(UP[None]), scene.mechanism.body_names
-        while (checks := self.check(flat)).clearance[0] < tracking.clearance:
-            self.left_out.add(frozenset(names[k] for k in checks.bodies[0]))
-        self.can_avoid = bool(checks.cause[0] == Cause.FREE)
+        flat = self.poses(UP[None])
+        pose = scene.mechanism, flat.position[0], flat.quaternion[0]
+        self.left_out = pairs_within(*pose)
+        self.near = pairs_within(*pose, tracking.clearance, self.left_out)
+        self.can_avoid = bool(self.check(flat).cause[0] == Cause.FREE)
 
     @cached_property
     def _has_one_axis(self) -> bool:
@@ -133,8 +135,7 @@ class Obstacles:
 
     def check(self, poses: Poses) -> Checks:
         """Examine n poses."""
-        mechanism = self._scene.mechanism
-        found = closest(mechanism, poses.position, poses.quaternion, self.left_out)
+        found = self._closest(poses)
         # without actuators, no configuration is singular
         to_singular = poses.independence(self._keys) if self._keys else np.full(len(poses), np.inf)
         cause = np.full(len(poses), int(Cause.FREE))
@@ -143,6 +144,34 @@ class Obstacles:
         cause[found.distance < self._tracking.clearance] = Cause.COLLISION
         cause[poses.beyond | ~poses.closed] = Cause.UNREACHABLE
         return Checks(found.distance, found.bodies, to_singular, cause)
+
+    def _closest(self, poses: Poses) -> Closest:
+        """Find the closest bodies in n poses: of the pairs in `near`, only those that overlap count."""
+        bodies_at = self._scene.mechanism, poses.position, poses.quaternion
+        found = closest(*bodies_at, self.left_out | self.near)
+        if not self.near:
+            return found
+        near = closest(*bodies_at, among=self.near)
+        overlaps = (near.distance <= 0.0) & (near.distance < found.distance)
+        return Closest(
+            np.where(overlaps, near.distance, found.distance),
+            np.where(overlaps[:, None], near.bodies, found.bodies),
+        )
+
+    @property
+    def notes(self) -> list[str]:
+        """Sentences on the pairs of bodies that are not examined as all others are."""
+        lines = []
+        if self.left_out:
+            lines.append(
+                f"overlap even if the panel lies flat, so never examined: {pair_names(self.left_out)}"
+            )
+        if self.near:
+            why = (
+                "nearer than the clearance even if the panel lies flat, so too close only where they overlap"
+            )
+            lines.append(f"{why}: {pair_names(self.near)}")
+        return lines
 
     def nearest_free(self, wanted: Array, reached: Array) -> Array:
         """Return the free directions (m, 3) nearest to blocked ones.

@@ -201,9 +201,7 @@ def assumptions(day: Day) -> Iterator[str]:
         f"blocked: bodies without a common joint nearer than {1e3 * day.tracking.clearance:g} mm, a distance "
         f"from singular configurations below {day.tracking.to_singular:g}, and what is beyond such a one"
     )
-    if left_out := day.faced.obstacles.left_out:
-        pairs = ", ".join(" and ".join(pair) for pair in sorted(map(sorted, left_out)))
-        yield f"too close even if the panel lies flat, and therefore not examined: {pairs}"
+    yield from day.faced.obstacles.notes
     wind = "no wind"
     if day.wind is not None:
         panel = f"the box of {day.axis.body!r}" if day.wind_acts else "no box: there is no load"

@@ -350,8 +350,7 @@ def _notes(obstacles: Obstacles, missed: int) -> Iterator[str]:
         obstacles: obstacles of the mechanism.
         missed: number of poses that are not the nearest ones.
     """
-    for pair in sorted(sorted(pair) for pair in obstacles.left_out):
-        yield f"{' and '.join(pair)} are too close even if the panel lies flat: clearance not examined"
+    yield from obstacles.notes
     if not obstacles.can_avoid:
         yield "the pose of the flat panel is blocked: collisions and singular configurations are not avoided"
     if missed:

@@ -14,11 +14,13 @@ from PIL import Image
 from crosscheck.design import workspace as design
 from crosscheck.design import workspace_map, workspace_plots
 from crosscheck.library import load
+from crosscheck.report.table import Lines
 from mjcf.clearance import clearances
 from newton_euler import (
     Body,
     Capsule,
     Cylindrical,
+    Fixed,
     Free,
     Mechanism,
     Point,
@@ -177,3 +179,30 @@ def test_maps_show_every_kind_of_point():
             continue
         width = workspace_plots.PANEL_WIDTH * count * 110  # pixels
         assert Image.open(io.BytesIO(drawn)).width == pytest.approx(width, abs=1)
+
+
+@pytest.mark.parametrize(("gap", "free", "named"), [(-0.01, 5, True), (0.01, 3, False)])
+def test_bodies_that_overlap_at_the_start_are_named_and_others_are_examined(few_searches, gap, free, named):
+    """Balls on a crank of 1 m and on a post: their distance is 2 sin(angle / 2) less both radii. They overlap
+    at the start, or with a gap at the start where the crank has turned towards the post.
+    """
+    start = 0.3  # rad, of the crank from the post
+    radius = np.sin(0.5 * start) - 0.5 * gap
+    bodies = [
+        Body.ground(),
+        Body.solid("crank", Sphere([np.cos(start), 0.0, np.sin(start)], radius), density=100.0),
+        Body.solid("post", Sphere([1.0, 0.0, 0.0], radius), density=100.0),
+    ]
+    joints = [
+        Revolute("pivot", "ground", "crank", [0.0, 0.0, 0.0], axis=[0.0, -1.0, 0.0]),
+        Fixed("foot", "ground", "post", [1.0, 0.0, 0.0]),
+    ]
+    scene = Scene("crank", Mechanism(bodies, joints), 1.0, 0.1)
+    angles = np.linspace(-0.2, 0.2, 5)
+    found = design.measure(scene, {"pivot": angles}, None, None, lambda _: None)
+    assert found.left_out == ({frozenset(("crank", "post"))} if named else set())
+    assert int(np.sum(~found.collides)) == free
+    if not named:
+        np.testing.assert_allclose(found.clearance, 2.0 * np.sin(0.5 * (start + angles)) - 2.0 * radius)
+    notes = [line for part in design.report(found).parts if isinstance(part, Lines) for line in part.lines]
+    assert any("crank and post" in line for line in notes) == named

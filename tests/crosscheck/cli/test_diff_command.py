@@ -8,7 +8,7 @@ from pathlib import Path
 
 import mujoco
 import pytest
-from command_line import run
+from command_line import run, scene_file, short_example
 
 import crosscheck
 from crosscheck.compare.outcome import Outcome
@@ -166,6 +166,19 @@ def test_results_of_other_files_are_not_overwritten(capsys, arm, tmp_path, monke
     other = tmp_path / "folder" / "first.xml"
     other.write_text(ARM.format(mass="2", gear="1"))
     assert run(capsys, "diff", str(other), first)[0] == 2
+
+
+def test_scene_files_are_compared_again_into_the_default_folder(capsys, tmp_path, monkeypatch):
+    """The second comparison replaces the results of the first one; one of other files does not."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("one.yaml", "two.yaml", "folder/one.yaml"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        scene_file((tmp_path / name).parent, short_example(), Path(name).name)
+    assert run(capsys, "diff", "one.yaml", "two.yaml")[0] == 0
+    assert run(capsys, "diff", "one.yaml", "two.yaml")[0] == 0
+    written = json.loads((tmp_path / "output/diff/one_two/diff.json").read_text())
+    assert [model["source"] for model in written["models"]] == ["one.yaml", "two.yaml"]
+    assert run(capsys, "diff", "folder/one.yaml", "two.yaml")[0] == 2
 
 
 def test_an_option_that_a_file_does_not_have_is_refused(capsys, arm, tmp_path):

@@ -13,7 +13,7 @@ from crosscheck.solar.place import Place, day_times, sun_over, tilted
 from crosscheck.solar.report import obstacles_table, verdict
 from crosscheck.solar.tracking import Tracking
 from mjcf.clearance import clearances, closest
-from newton_euler import Axis, Box, Mechanism, solve_poses
+from newton_euler import PD, Axis, Body, Box, Fixed, Mechanism, Revolute, Scene, solve_poses
 
 pytest.importorskip("pvlib")
 
@@ -101,6 +101,32 @@ def test_bodies_that_always_overlap_are_left_out():
     obstacles = Obstacles(crowded, PANEL_NORMAL, TRACKING)
     assert obstacles.can_avoid
     assert {"base", "panel_7"} in obstacles.left_out
+
+
+@pytest.mark.parametrize(
+    ("gap", "left_out", "near", "blocked"), [(-2e-4, True, False, False), (2e-4, False, True, True)]
+)
+def test_bodies_that_are_near_if_the_panel_lies_flat_may_not_overlap_later(gap, left_out, near, blocked):
+    """A panel as a box that turns about x, 0.2 mm above or in a fixed block: the turned
+    panel cuts into the block by 0.5 sin(20 degrees) m less the gap."""
+    bodies = [
+        Body.ground(),
+        Body.solid("panel", Box([0.5, 0.5, 0.01], [0.0, 0.0, 1.0]), density=100.0),
+        Body.solid("block", Box([0.1, 0.5, 0.1], [0.0, 0.0, 0.89 - gap]), density=100.0),
+    ]
+    joints = [
+        Revolute("tilt", "ground", "panel", [0.0, 0.0, 1.0], axis=[1.0, 0.0, 0.0], actuated=True),
+        Fixed("shelf", "ground", "block", [0.0, 0.0, 0.89]),
+    ]
+    scene = Scene("shelf", Mechanism(bodies, joints), 1.0, 0.1, control=(PD("tilt", 1.0, 1.0, target=0.0),))
+    obstacles = Obstacles(scene, Axis("panel", [0.0, 0.0, 1.0]), Tracking(to_singular=0.0))
+    pair = frozenset(("panel", "block"))
+    assert (pair in obstacles.left_out, pair in obstacles.near) == (left_out, near)
+    assert obstacles.can_avoid
+    assert len(obstacles.notes) == 1
+    assert "block and panel" in obstacles.notes[0]
+    checks = obstacles.check(solve_poses(scene, {("tilt", 0): [0.0, np.radians(20.0)]}))
+    assert (checks.cause == Cause.COLLISION).tolist() == [False, blocked]
 
 
 def test_ways_of_long_moves_are_examined():
