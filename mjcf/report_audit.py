@@ -37,8 +37,10 @@ def unaccounted(model: Any, roots: Sequence[int], report: ImportReport) -> Itera
         report: report to check.
     """
     mentioned = {entry.element for entry in report.entries}
-    acting_tendons = model.tendon_stiffness != 0.0
-    acting_tendons |= (model.tendon_damping != 0.0) | (model.tendon_armature != 0.0)
+    acting_tendons = model.tendon_armature != 0.0
+    for feature, values in (("SPRING", model.tendon_stiffness), ("DAMPER", model.tendon_damping)):
+        if not model.opt.disableflags & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature}")):
+            acting_tendons |= values != 0.0
     numbers_by_kind = {
         "joint": range(model.njnt),
         "equality": range(model.neq),

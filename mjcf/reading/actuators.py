@@ -142,6 +142,7 @@ class Actuators:
         if why := self._why_disabled(actuator):
             self._report.left_out(element, why, switched_off=True)
             self._add_rotor(actuator, element, moments)
+            self._report_damping(actuator, element)
             return
         force = self._affine_force(actuator, element)
         if force is None:  # reported as left out
@@ -341,10 +342,11 @@ class Actuators:
         return body == joint_body
 
     def _report_damping(self, actuator: int, element: str) -> None:
-        """Report the damping attribute of an actuator, which scenes do not simulate."""
+        """Report the damping attribute of an actuator, which acts even if actuators are disabled."""
         model = self._model
         if np.any(model.actuator_damping[actuator]) or np.any(model.actuator_dampingpoly[actuator]):
-            self._report.left_out(element, "the damping of the actuator", topic="damping")
+            why, is_off = "the damping of the actuator", self._start.disabled("DAMPER")
+            self._report.left_out(element, why, topic="damping", switched_off=is_off)
 
     def _add_to_joints(self, actuator: int, element: str, force: Affine, moments: dict[int, float]) -> bool:
         """Add the force of an actuator to the control laws of joint coordinates.

@@ -142,7 +142,7 @@ class Forces:
         if plastic_index < 0:  # not a yielding spring
             return np.asarray(model.qpos_spring[qpos_index : qpos_index + size])
         limit = float(model.jnt_springyield[number])
-        if limit < np.pi or model.jnt_type[number] != BALL:
+        if self._has_springs and (limit < np.pi or model.jnt_type[number] != BALL):
             self._report_yield(element_name(self._model, "joint", number), limit)
         return np.asarray(self._data.plastic[plastic_index : plastic_index + size])
 
@@ -187,7 +187,8 @@ class Forces:
         plastic_index = int(model.tendon_plasticadr[tendon])
         if plastic_index >= 0:
             low, high = (float(x) for x in self._data.plastic[plastic_index : plastic_index + 2])
-            self._report_yield(element, float(model.tendon_springyield[tendon]))
+            if stiffness:
+                self._report_yield(element, float(model.tendon_springyield[tendon]))
         ends = straight_tendon_ends(self._start, tendon)
         weights = fixed_tendon_weights(self._model, tendon)
         if low != high and stiffness:

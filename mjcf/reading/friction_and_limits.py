@@ -74,7 +74,7 @@ def _friction(
     """Yield the dry friction of MuJoCo's joint `number` if it is simulated, and report it."""
     model, element = start.model, element_name(start.model, "joint", number)
     friction = float(model.dof_frictionloss[model.jnt_dofadr[number]])
-    switched_off, key = _is_off(start, "FRICTIONLOSS"), joints.coordinate_keys.get(number)
+    switched_off, key = start.disabled("FRICTIONLOSS"), joints.coordinate_keys.get(number)
     if request.friction == "regularized" and key and not switched_off:
         yield from regularized(_joint_in_file(start, number, element, key), friction, report)
         return
@@ -89,7 +89,7 @@ def _limits(
     """Yield the stops of MuJoCo's joint `number` if they are simulated, and report its limits."""
     model, element = start.model, element_name(start.model, "joint", number)
     low, high = model.jnt_range[number]
-    switched_off, key = _is_off(start, "LIMIT"), joints.coordinate_keys.get(number)
+    switched_off, key = start.disabled("LIMIT"), joints.coordinate_keys.get(number)
     if key is None:
         why = f"its limits {low:.4g} to {high:.4g}: limits are one-sided and not simulated"
         report.left_out(element, why, topic=LIMITS, switched_off=switched_off)
@@ -105,11 +105,6 @@ def _limits(
         return
     why = f"{words}: limits are one-sided and not simulated"
     report.left_out(element, why, topic=LIMITS, switched_off=switched_off, watches=[bounds])
-
-
-def _is_off(start: ModelAtStart, feature: str) -> bool:
-    """Return True if the file disables a kind of constraints, such as "LIMIT", or all constraints."""
-    return bool(start.disabled(feature) or start.disabled("CONSTRAINT"))
 
 
 def _unit(model: object, number: int) -> str:

@@ -19,7 +19,7 @@ from mjcf.layout import element_name
 from mjcf.loops import fixed_tendon_weights
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.joints import Joints
-from mjcf.reading.start import ModelAtStart
+from mjcf.reading.start import PASSIVE_FEATURES, ModelAtStart
 from newton_euler.model.euler_parameters import rotations
 from newton_euler.reading.activity import (
     POINTS_PER_INTERVAL,
@@ -96,12 +96,14 @@ def report_leftovers(start: ModelAtStart, bodies: Bodies, joints: Joints, report
             )
     # fluids, flexes and plugins
     option = model.opt
+    no_passive_forces = all(start.disabled(feature) for feature in PASSIVE_FEATURES)
     for name, value in (("density", option.density), ("viscosity", option.viscosity)):
         if value:
             why = f"{value:g}: fluid forces are not simulated"
-            report.left_out(f"option {name}", why, topic=name)
+            report.left_out(f"option {name}", why, topic=name, switched_off=no_passive_forces)
     if np.any(option.wind):
-        report.left_out("option wind", "fluid forces are not simulated", topic="wind")
+        why = "fluid forces are not simulated"
+        report.left_out("option wind", why, topic="wind", switched_off=no_passive_forces)
     if model.nflex:
         why = "deformable bodies are not simulated"
         report.left_out(f"{model.nflex} flexes", why)
@@ -122,8 +124,9 @@ def report_leftovers(start: ModelAtStart, bodies: Bodies, joints: Joints, report
 def _report_flags(start: ModelAtStart, report: ImportReport) -> None:
     """Report the flags of the file that disable gravity, springs or dampers that the file has."""
     model = start.model
-    has_springs = bool(np.any(model.jnt_stiffness) or np.any(model.tendon_stiffness))
-    has_dampers = bool(np.any(model.dof_damping) or np.any(model.tendon_damping))
+    springs = model.jnt_stiffness, model.jnt_stiffnesspoly, model.tendon_stiffness, model.tendon_stiffnesspoly
+    dampers = model.dof_damping, model.dof_dampingpoly, model.tendon_damping, model.tendon_dampingpoly
+    has_springs, has_dampers = (any(np.any(each) for each in arrays) for arrays in (springs, dampers))
     for flag, has_elements, effect in (
         ("GRAVITY", True, "bodies have no weight"),
         ("SPRING", has_springs, "its springs exert nothing"),

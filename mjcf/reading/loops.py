@@ -50,10 +50,10 @@ class Loops:
         self.couplings: list[JointCoupling] = []
         self.held_motions: list[PrescribedMotion] = []
         self._taken = [joint.name for joint in joints.joints]
-        flags = [flag for flag in ("EQUALITY", "CONSTRAINT") if start.disabled(flag)]
+        flag = "constraint" if start.disabled("CONSTRAINT") else "equality"
         for index in range(self._model.neq):
-            if flags:
-                why = f'<flag {flags[0].lower()}="disable"/>: the constraint is not applied'
+            if start.disabled("EQUALITY"):
+                why = f'<flag {flag}="disable"/>: the constraint is not applied'
                 report.left_out(start.equality(index), why, switched_off=True)
             elif not self._model.eq_active0[index]:
                 why = 'active="false": the constraint is not applied'

@@ -33,6 +33,13 @@ SWITCHED_OFF_FEATURES = ("CONTACT", "LIMIT", "FRICTIONLOSS", "WARMSTART")
 which results would depend on earlier ones."""
 
 
+CONSTRAINT_FEATURES = ("CONTACT", "EQUALITY", "FRICTIONLOSS", "LIMIT")
+"""MuJoCo's names of features that the flag "CONSTRAINT" disables, too."""
+
+PASSIVE_FEATURES = ("SPRING", "DAMPER")
+"""MuJoCo's names of passive forces. A file that disables both disables all passive forces."""
+
+
 @dataclass(frozen=True, eq=False)
 class ModelToImport:
     """Copy of a compiled model for one or several imports, which do not change it.
@@ -61,8 +68,14 @@ class ModelToImport:
         return found
 
     def disabled(self, feature: str) -> bool:
-        """Return True if the file itself disables a feature, such as "GRAVITY", by `<flag>`."""
-        return bool(self.flags_of_file & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature}")))
+        """Return True if the file itself disables a feature, such as "GRAVITY", by `<flag>`.
+
+        The flag "CONSTRAINT" disables each of `CONSTRAINT_FEATURES`.
+        """
+        flags = [feature, "CONSTRAINT"] if feature in CONSTRAINT_FEATURES else [feature]
+        return any(
+            self.flags_of_file & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag}")) for flag in flags
+        )
 
 
 class ModelAtStart(FileStart):
