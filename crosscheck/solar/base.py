@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from crosscheck.solar.geared import Geared
 from crosscheck.solar.place import Sun
 from crosscheck.solar.set_points import pd_laws
 from crosscheck.support.errors import CrosscheckError
@@ -129,14 +130,13 @@ def following_on_base(
         CrosscheckError: if a controller of the scene is not `PD`.
         newton_euler.NewtonEulerError: for fewer than 6 directions, which a spline needs.
     """
-    laws = pd_laws(scene)
-    seconds, keys = period * np.arange(len(wanted)), [law.key for law in laws]
+    laws, geared, seconds = pd_laws(scene), Geared.of(scene), period * np.arange(len(wanted))
     rotations = base.rotations(seconds)
     from_base = np.einsum("nji,nj->ni", rotations, wanted)
-    poses = solve_poses(scene, axis=axis, towards=from_base, measure=keys)
+    poses = solve_poses(geared.planned, axis=axis, towards=from_base, measure=geared.keys)
     # forces are linear in gravity: those without weight, and changes by 1 m/s^2 along each axis of the base
     weightless, *along = (
-        statics(replace(scene, gravity=gravity), poses, keys).actuator_force
+        statics(replace(geared.planned, gravity=gravity), poses, geared.keys).actuator_force
         for gravity in (np.zeros(3), *np.eye(3))
     )
     gravity = np.einsum("nji,j->ni", rotations, np.asarray(scene.gravity, dtype=float))
@@ -146,15 +146,15 @@ def following_on_base(
     control = tuple(
         replace(
             law,
-            target=Spline(seconds, poses.coordinates[law.key]),
-            feedforward=Spline(seconds, force[:, k]),
+            target=Spline(seconds, poses.coordinates[key] / ratio),
+            feedforward=Spline(seconds, held * ratio),
         )
-        for k, law in enumerate(laws)
+        for law, key, ratio, held in zip(laws, geared.keys, geared.ratios, force.T, strict=True)
     )
     driven = replace(
         scene,
         control=control,
-        initial_state=poses.state(0),
+        initial_state=geared.start(poses),
         duration=float(seconds[-1]),
         output_period=period,
     )

@@ -27,7 +27,8 @@ from crosscheck.solar.tracking import Tracking
 from crosscheck.solar.wind import WIND, wind_on_panel
 from newton_euler import Axis, Loads, Poses, compile_scene
 from newton_euler.analysis.kinematics.configurations import smallest_turns
-from newton_euler.analysis.loads.envelope import Load, actuator_loads, work_and_energy
+from newton_euler.analysis.loads.actuator_motions import ActuatorMotion, actuator_motions
+from newton_euler.analysis.loads.envelope import work_and_energy
 from newton_euler.model.euler_parameters import rotations
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
@@ -79,25 +80,18 @@ class ActuatorDay:
     moving: Array
 
     @classmethod
-    def of(cls, name: str, loads: Mapping[Load, Array], day: Day) -> ActuatorDay:
-        """Take the loads of the actuator with this name from those of all actuators."""
-        ((unit, force),) = [
-            (load.unit, values)
-            for load, values in loads.items()
-            if (load.element, load.quantity) == (name, "actuator force")
-        ]
-        speed, power, energy = (
-            next(v for load, v in loads.items() if (load.element, load.quantity) == (name, quantity))
-            for quantity in ("speed", "power", "energy")
-        )
-        rows = day.rows
+    def of(cls, motion: ActuatorMotion, day: Day) -> ActuatorDay:
+        """Sum up the motion of an actuator over a day."""
+        rows, force = day.rows, motion.force
         holding = np.where(day.plan.is_moving(day.seconds), np.nan, force[rows])
         moving = np.full(len(rows), np.nan)
         for k, (begin, end) in enumerate(pairwise(rows)):
             if end > begin + 1:
                 part = force[begin + 1 : end]
                 moving[k] = part[np.argmax(np.abs(part))]
-        return cls(unit, force, speed, power, float(energy[-1]), holding, moving)
+        _, energy = work_and_energy(force, motion.position)
+        unit, power = "N" if motion.is_slide else "N m", force * motion.speed
+        return cls(unit, force, motion.speed, power, float(energy[-1]), holding, moving)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,10 +160,14 @@ class Day:
         return replace(self.motion, **arrays)
 
     @cached_property
+    def motions(self) -> tuple[ActuatorMotion, ...]:
+        """Force, position and speed of each actuator at the outputs of `motion`."""
+        return actuator_motions(self.scene, self.motion)
+
+    @cached_property
     def actuators(self) -> dict[str, ActuatorDay]:
         """Forces and speeds of the actuators over the day, by the label of their joint coordinate."""
-        loads = actuator_loads(self.scene, self.motion)
-        return {name: ActuatorDay.of(name, loads, self) for name in self.keys}
+        return {motion.name: ActuatorDay.of(motion, self) for motion in self.motions}
 
     @property
     def period(self) -> float:
@@ -293,19 +291,6 @@ class Day:
     def light(self) -> dict[str, float]:
         """W h/m^2, irradiation over the day, by the names of `irradiance`."""
         return {name: over_day(self.seconds, power) for name, power in self.irradiance.items()}
-
-    @cached_property
-    def work(self) -> float:
-        """Positive work of the actuators against weight over the day, W h, for quasi-static motion.
-
-        Negative work is not recovered. `actuators` has the energy of the simulated motion.
-        """
-        works = []
-        for force, key in zip(self.loads.actuator_force.T, self.geared.keys, strict=True):
-            # (n,) J, up to each set-point
-            _, positive_work = work_and_energy(force, self.poses.coordinates[key])
-            works.append(float(positive_work[-1]))
-        return sum(works) / 3600.0
 
 
 def tracker_day(

@@ -16,6 +16,7 @@ import numpy as np
 
 from crosscheck.report.plots import own_style
 from crosscheck.report.table import Rows, Table, number_columns, text_columns
+from crosscheck.solar.geared import Geared
 from crosscheck.solar.obstacles import Cause, Obstacles
 from crosscheck.solar.place import SUN, Place, Sun, sun_over
 from crosscheck.solar.tracking import Tracking
@@ -83,7 +84,8 @@ def reach_over_year(scene: Scene, axis: Axis, place: Place, year: int, tracking:
     every = sun_over(place, hours)
     up = every.is_up
     sun = Sun(every.times[up], every.azimuth[up], every.elevation[up])
-    obstacles = Obstacles(scene, axis, tracking)
+    geared = Geared.of(scene)
+    obstacles = Obstacles(geared.planned, axis, tracking, geared.keys)
     poses, checks = obstacles.facing(sun.direction)
     assert poses.direction is not None
     off = np.linalg.norm(smallest_turns(poses.direction, sun.direction), axis=1)

@@ -19,7 +19,6 @@ from crosscheck.solar.obstacles import Cause
 from crosscheck.solar.reach import Reach, reach_csv, reach_picture
 from crosscheck.solar.tables import largest_at
 from crosscheck.support.files import write_files
-from newton_euler.analysis.loads.actuator_motions import actuator_motions
 from newton_euler.analysis.loads.motion_files import motions_csv
 from newton_euler.scalars import Array
 
@@ -60,7 +59,7 @@ def write_day(
         plots: png(picture(day)),
         recording: recorded(log_run, day.scene, runs, text, report.title, directions=directions),
     }
-    motions = motions_csv(actuator_motions(day.scene, day.motion)).encode()
+    motions = motions_csv(day.motions).encode()
     tables = {table: table_of_set_points(day), motion: motions}
     if reach:
         tables[reach_paths[0]], pictures[reach_paths[1]] = reach_csv(reach), png(reach_picture(reach))

@@ -16,6 +16,7 @@ import numpy as np
 
 from crosscheck.solar.base import Base
 from crosscheck.solar.energy import FACING, THIS
+from crosscheck.solar.geared import Geared
 from crosscheck.solar.obstacles import Cause, Obstacles, face
 from crosscheck.solar.place import SUN, Sun, sun_over
 from crosscheck.solar.tracking import UP, Tracking
@@ -309,17 +310,17 @@ def _found_poses(
         scene, axis, tracking, strokes: see `tracker_year`.
         wanted: directions of the axis.
     """
-    labels = scene.mechanism.coordinate_labels
-    # actuated joint coordinates; all of a mechanism without actuators and without loops
-    keys = [law.key for law in scene.control]
-    if not keys and mobility(scene).degrees_of_freedom == len(labels):
-        keys = list(labels)
-    for label in strokes:
-        known = [labels[key] for key in keys]
-        if label not in known:
-            raise CrosscheckError(f"stroke of {label!r:.100}: {choices(label, known)}")
+    # actuated joint coordinates; all of a mechanism without actuators and without loops. With gears, they are
+    # those of the followers, and set-points those of the motors
+    geared, labels = Geared.of(scene), scene.mechanism.coordinate_labels
+    keys, ratios, names = list(geared.keys), list(geared.ratios), [labels[law.key] for law in scene.control]
+    if not keys and mobility(geared.planned).degrees_of_freedom == len(labels):
+        keys, ratios, names = list(labels), [1.0] * len(labels), list(labels.values())
+    for name in strokes:
+        if name not in names:
+            raise CrosscheckError(f"stroke of {name!r:.100}: {choices(name, names)}")
     # blocked directions are replaced by the nearest free ones
-    faced = face(scene, axis, wanted, tracking, keys)
+    faced = face(geared.planned, axis, wanted, tracking, keys)
     poses, causes = faced.poses, faced.wanted_checks.cause
     assert poses.direction is not None  # there is an axis
     kind = np.where(poses.reached, Limit.NONE, Limit.REACH)
@@ -327,19 +328,22 @@ def _found_poses(
         for cause, limit in BLOCKED.items():
             kind[causes == cause] = limit
     direction, values = poses.direction.copy(), {key: poses.coordinates[key].copy() for key in keys}
-    ends = {key: strokes.get(labels[key], (-np.inf, np.inf)) for key in keys}
+    ends = {
+        key: np.sort(np.multiply(ratio, strokes.get(name, (-np.inf, np.inf))))
+        for key, ratio, name in zip(keys, ratios, names, strict=True)
+    }
     beyond = np.zeros(len(wanted), dtype=bool)
     for key, (low, high) in ends.items():
         beyond |= (values[key] < low) | (values[key] > high)
     if beyond.any():
         stopped: dict[str | Key, Array] = {key: np.clip(values[key][beyond], *ends[key]) for key in keys}
-        there = solve_poses(scene, stopped, axis=axis)
+        there = solve_poses(geared.planned, stopped, axis=axis)
         assert there.direction is not None
         direction[beyond], kind[beyond] = there.direction, Limit.STROKE
         for key in keys:
             values[key][beyond] = there.coordinates[key]
     missed = int(np.sum((poses.slope > NOT_NEAREST_SLOPE) & ~beyond))
-    coordinates = {labels[key]: values[key] for key in keys}
+    coordinates = {name: values[key] / ratio for key, ratio, name in zip(keys, ratios, names, strict=True)}
     return _Found(direction, coordinates, kind, tuple(_notes(faced.obstacles, missed)))
 
 

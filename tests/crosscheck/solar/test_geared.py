@@ -5,15 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from crosscheck.library import load
-from crosscheck.library.tracker_drive import RATIO
-from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker
-from crosscheck.solar.day import tracker_day
-from crosscheck.solar.geared import Geared
-from crosscheck.solar.place import Place
-from crosscheck.solar.report import day_report
-from crosscheck.solar.tracking import Tracking
-from crosscheck.support.errors import CrosscheckError
+pd = pytest.importorskip("pandas")
+pytest.importorskip("pvlib")
+
+from crosscheck.library import load  # noqa: E402
+from crosscheck.library.tracker_drive import RATIO  # noqa: E402
+from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker  # noqa: E402
+from crosscheck.solar.base import Base, following_on_base  # noqa: E402
+from crosscheck.solar.day import tracker_day  # noqa: E402
+from crosscheck.solar.geared import Geared  # noqa: E402
+from crosscheck.solar.obstacles import Cause  # noqa: E402
+from crosscheck.solar.place import Place, tilted  # noqa: E402
+from crosscheck.solar.reach import reach_over_year  # noqa: E402
+from crosscheck.solar.report import day_report  # noqa: E402
+from crosscheck.solar.tracking import Tracking  # noqa: E402
+from crosscheck.solar.weather import Weather  # noqa: E402
+from crosscheck.solar.year import Limit, tracker_year  # noqa: E402
+from crosscheck.support.errors import CrosscheckError  # noqa: E402
 
 PLACE, DATE, PERIOD = Place(11.56, 104.92), "2026-03-21", 3600.0
 
@@ -80,3 +88,54 @@ def test_a_stiff_tracker_follows(days):
     for day in days:
         assert not day.off_set_points.any()
         assert day_report(day).judged.verdict == "holds"
+
+
+def test_motors_of_a_year_turn_to_where_their_screws_take_the_sliders():
+    """Set-points of a day are those of driven sliders over the lead; a stroke is in rad of the motor."""
+    times = pd.date_range("2026-03-21 00:30", periods=24, freq="h", tz="UTC+07:00")
+    light = np.full(24, 100.0)
+    weather = Weather(PLACE, "sample", times, 1.0, light, light, light)
+    geared, direct = (
+        tracker_year(scene, PANEL_NORMAL, weather, Tracking())
+        for scene in (load("tracker_drive"), sun_tracker())
+    )
+    for motor, slider in (("motor_2", "slide_12"), ("motor_3", "slide_13")):
+        assert np.ptp(direct.coordinates[slider]) > 0.02  # m
+        assert geared.coordinates[motor] * RATIO == pytest.approx(direct.coordinates[slider], abs=1e-9)
+    assert geared.light == pytest.approx(direct.light, rel=1e-9)
+    stopped = tracker_year(
+        geared.scene, PANEL_NORMAL, weather, Tracking(), strokes={"motor_2": (-100.0, 100.0)}
+    )
+    beyond = geared.coordinates["motor_2"] > 100.0
+    assert 0 < beyond.sum() < 24
+    assert stopped.coordinates["motor_2"][beyond] == pytest.approx(np.full(beyond.sum(), 100.0))
+    assert (stopped.limits[beyond & (geared.limits != Limit.DOWN)] == Limit.STROKE).all()
+
+
+def test_positions_near_singular_configurations_are_those_of_the_sliders(monkeypatch):
+    """Motors behind gears determine their own angles only: the sliders determine the panel's."""
+    date_range = pd.date_range
+    monkeypatch.setattr(pd, "date_range", lambda *given, **named: date_range(*given, **named)[::101])
+    tracking = Tracking(to_singular=0.4)
+    geared, direct = (
+        reach_over_year(scene, PANEL_NORMAL, Place(37.4, -6.0), 2026, tracking).cause
+        for scene in (load("tracker_drive"), sun_tracker())
+    )
+    assert (direct == Cause.SINGULAR).sum() >= 3
+    assert (geared == Cause.SINGULAR)[direct == Cause.SINGULAR].all()
+
+
+def test_motors_on_a_moving_base_have_the_set_points_and_forces_of_the_sliders():
+    base, wanted = Base.at_rest(roll=10.0, heading=80.0), tilted(np.full(8, 0.3), np.linspace(0.0, 1.0, 8))
+    (geared, _), (direct, _) = (
+        following_on_base(scene, PANEL_NORMAL, wanted, base, 0.5)
+        for scene in (load("tracker_drive"), sun_tracker())
+    )
+    for motor, slider in zip(geared.control, direct.control, strict=True):
+        for time in (0.0, 1.3, 3.5):
+            assert motor.target.value(time) * RATIO == pytest.approx(slider.target.value(time), abs=1e-9)
+            held = slider.feedforward.value(time)
+            assert abs(held) > 1.0  # N
+            assert motor.feedforward.value(time) == pytest.approx(held * RATIO, rel=1e-6)
+    start = geared.initial_state
+    assert start.angles["motor_2", 0] == pytest.approx(geared.control[0].target.value(0.0), rel=1e-9)

@@ -197,7 +197,6 @@ def test_work_of_actuators_is_what_they_lift(day):
     small = np.max(np.abs(moved), axis=1) < 1e-3  # m; the way back at night is one step
     # J: h^3 / 12 of the trapezoidal rule, slopes of 15 N over 0.1 m squared
     assert np.max(np.abs(done - np.diff(height))[small]) < 1.3e-7
-    assert 3600.0 * day.work > np.sum(np.maximum(np.diff(height), 0.0))  # of each actuator by itself
 
 
 def test_storms_come_at_set_points():
