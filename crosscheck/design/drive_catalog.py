@@ -137,7 +137,7 @@ def read_catalog(path: str) -> tuple[Drive, ...]:
     Raises:
         SourceError: naming the file, and the line and column at fault.
     """
-    rows = [row for row in csv_rows(path, read_text(path, limit="csv_size")) if row.cells[0][:1] != "#"]
+    rows = csv_rows(path, read_text(path, limit="csv_size"), comments=True)
     if len(rows) < 2:
         raise SourceError(path, "has no drives; needed: a header and a row for each drive")
     if len(rows) > MAX_ROWS + 1:

@@ -18,12 +18,16 @@ from newton_euler.scalars import Array
 MIN_MOVE = 1e-9
 """Smallest change of a set-point, m or rad, for which the actuators move."""
 
-SAMPLES = 10
-"""Number of output times after each event: a set-point, or a time at which the acceleration of the set-points
-jumps. They halve the time since the event again and again, so that the transient after it is seen."""
+SAMPLES = 14
+"""Number of output times in each part of a move: acceleration, constant speed, deceleration, and a time as
+long as the move in which the mechanism settles. They are densest at the begin of a part, where the
+acceleration of the set-points jumps, so that forces and works of the transient are seen."""
+
+REST_SAMPLES = 10
+"""Number of output times of a rest. They halve the time since its begin again and again."""
 
 MAX_SAMPLES = 60_000
-"""Number of output times of a day above which each event has fewer."""
+"""Number of output times of a day above which each part of a move and each rest has fewer."""
 
 
 class Plan(NamedTuple):
@@ -68,16 +72,25 @@ class Plan(NamedTuple):
         return np.concatenate([[0], self.target])[np.searchsorted(self.begin, times, side="left")]
 
     def samples(self, times: Array) -> Array:
-        """Return output times, s: those of the set-points (n,), and others during and after each
-        move."""
-        corners = (self.begin, self.begin + self.ramp, self.end - self.ramp, self.end)
+        """Return output times, s: those of the set-points (n,), and others in and after each move."""
+        settled = 2.0 * self.end - self.begin
+        corners = (self.begin, self.begin + self.ramp, self.end - self.ramp, self.end, settled)
         events = np.unique(np.concatenate([times, *corners]))
         events = events[events <= times[-1]]
-        spans = np.diff(events)
-        count = min(SAMPLES, MAX_SAMPLES // len(events))
-        halves = np.append(0.0, 0.5 ** np.arange(1, count + 1))
-        samples = events[:-1] + spans * halves[:, None]
-        return np.unique(np.append(samples, times[-1]))
+        begins, spans = events[:-1], np.diff(events)
+        # a span is of a move if its middle is before the time at which the last move has settled
+        middles = begins + 0.5 * spans
+        last = np.searchsorted(self.begin, middles) - 1
+        in_move = (last >= 0) & (middles < np.append(settled, -np.inf)[last])
+        wanted = SAMPLES * np.sum(in_move) + REST_SAMPLES * np.sum(~in_move)
+        fewer = min(1.0, MAX_SAMPLES / wanted)
+        in_parts = np.linspace(0.0, 1.0, max(1, int(SAMPLES * fewer)), endpoint=False) ** 3
+        in_rests = np.append(0.0, 0.5 ** np.arange(1, int(REST_SAMPLES * fewer)))
+        samples = [
+            (begins[which] + spans[which] * fractions[:, None]).ravel()
+            for which, fractions in ((in_move, in_parts), (~in_move, in_rests))
+        ]
+        return np.unique(np.concatenate([*samples, times[-1:]]))
 
 
 def plan_moves(times: Array, set_points: Array, speed: float, acceleration: float) -> Plan:

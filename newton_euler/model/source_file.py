@@ -174,16 +174,19 @@ class Row(NamedTuple):
     cells: list[str]
 
 
-def csv_rows(path: str, text: str) -> list[Row]:
+def csv_rows(path: str, text: str, comments: bool = False) -> list[Row]:
     """Split a CSV text into its rows without empty rows; spaces around cells are removed.
 
     Args:
         path: path of the file, for error messages.
         text: content of the file.
+        comments: True to leave out lines that begin with `#`.
 
     Raises:
         SourceError: for invalid CSV, control characters, and separators other than commas.
     """
+    if comments:
+        text = re.sub(r"^[ \t]*#.*$", "", text, flags=re.MULTILINE)  # lines keep their numbers
     reader = csv.reader(io.StringIO(text, newline=""))
     try:
         rows = [Row(reader.line_num, [cell.strip() for cell in row]) for row in reader if row]

@@ -215,6 +215,26 @@ def test_errors_of_a_catalog_name_line_and_column(tmp_path, text, problem):
     assert caught.value.problem.startswith(problem)
 
 
+COMMENT = '# Motors; "new\t(2026), 5" screws\n'
+"""Comment with other separators than commas, an open quotation and a control character."""
+
+
+def test_comments_may_have_any_text(tmp_path):
+    """Before the header and between rows; errors name the line of the file."""
+    (drive,) = read_catalog(catalog(tmp_path, f"{COMMENT}{HEADER}\n{COMMENT}one,5,3000\n  {COMMENT}"))
+    assert drive.name == "one"
+    path = tmp_path / "motion.csv"
+    path.write_text(f"{COMMENT}time,torque,angle\n0,1,0\n{COMMENT}1,2,1\n")
+    (only,) = read_motions(str(path))
+    assert only.time.tolist() == [0.0, 1.0]
+    path.write_text(f"{COMMENT}time,torque,angle\n0,1,0\n{COMMENT}1;2;1\n")
+    with pytest.raises(SourceError, match="line 5: has 1 cells"):
+        read_motions(str(path))
+    path.write_text(f"{COMMENT}time;torque;angle\n0;1;0\n")
+    with pytest.raises(SourceError, match="line 2: columns are separated by ';'"):
+        read_motions(str(path))
+
+
 def test_motions_of_slides_and_hinges(tmp_path):
     """Speeds are given or the derivative; a single actuator may be without a name."""
     path = tmp_path / "motion.csv"

@@ -52,7 +52,7 @@ class ActuatorMotion:
         """(n - 1,) direction of the motion in each interval: 1, -1, or 0 at rest."""
         mean = np.diff(self.position) / self.spans
         least = REST_FRACTION * np.max(np.abs(self.speed))
-        is_moving = np.maximum(np.abs(self.speed[:-1]), np.abs(self.speed[1:])) > least
+        is_moving = 0.5 * (np.abs(self.speed[:-1]) + np.abs(self.speed[1:])) > least
         return np.where(is_moving, np.sign(np.where(mean == 0.0, self.speed[1:], mean)), 0.0)
 
     @cached_property

@@ -48,7 +48,7 @@ def read_motions(path: str) -> tuple[ActuatorMotion, ...]:
     Raises:
         SourceError: naming the file and the line or column at fault.
     """
-    rows = [row for row in csv_rows(path, read_text(path, limit="csv_size")) if row.cells[0][:1] != "#"]
+    rows = csv_rows(path, read_text(path, limit="csv_size"), comments=True)
     if not rows or "time" not in rows[0].cells:
         raise SourceError(path, f"has no column time; needed: {NEEDED}")
     header = rows[0].cells

@@ -12,7 +12,7 @@ from crosscheck.library import load  # noqa: E402
 from crosscheck.library.tracker_drive import RATIO  # noqa: E402
 from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker  # noqa: E402
 from crosscheck.solar.base import Base, following_on_base  # noqa: E402
-from crosscheck.solar.day import tracker_day  # noqa: E402
+from crosscheck.solar.day import REST_RATE, tracker_day  # noqa: E402
 from crosscheck.solar.geared import Geared  # noqa: E402
 from crosscheck.solar.obstacles import Cause  # noqa: E402
 from crosscheck.solar.place import Place, tilted  # noqa: E402
@@ -22,6 +22,7 @@ from crosscheck.solar.tracking import Tracking  # noqa: E402
 from crosscheck.solar.weather import Weather  # noqa: E402
 from crosscheck.solar.year import Limit, tracker_year  # noqa: E402
 from crosscheck.support.errors import CrosscheckError  # noqa: E402
+from newton_euler import compile_scene  # noqa: E402
 
 PLACE, DATE, PERIOD = Place(11.56, 104.92), "2026-03-21", 3600.0
 
@@ -57,6 +58,22 @@ def test_motors_do_the_work_of_the_sliders_over_the_efficiency_of_the_screws(day
     assert efficiency == pytest.approx(0.372, abs=1e-3)
     assert motors > sliders / efficiency
     assert motors < 5.0 * sliders / efficiency
+
+
+def test_energies_are_integrals_of_the_power(days):
+    """Simulated again with 4 ms between the outputs of a move: the work of the table, and the power of the
+    file, integrated by an own trapezoidal rule. The motors' inertia makes the torque fall in steps."""
+    day, _ = days
+    starts, ends = day.plan.begin, day.plan.end
+    fine = [np.arange(start, end + 1.0, 0.004) for start, end in zip(starts, ends, strict=True)]
+    times = np.unique(np.concatenate([day.plan.samples(day.seconds), *fine]))
+    run = compile_scene(day.scene).simulate(times=times[times <= day.seconds[-1]], rest=REST_RATE)
+    for k, motion in enumerate(day.motions):
+        rate = run.joint(motion.name).rates[:, 0]
+        reference = np.trapezoid(np.maximum(run.actuator_force[:, k] * rate, 0.0), run.time)
+        power = np.maximum(motion.force * motion.speed, 0.0)
+        assert np.trapezoid(power, motion.time) == pytest.approx(reference, rel=5e-3)
+        assert day.actuators[motion.name].energy == pytest.approx(reference, rel=5e-3)
 
 
 def test_a_follower_needs_to_be_actuated():

@@ -267,6 +267,16 @@ def test_rms_of_a_linear_force_and_direction_at_a_reversal():
     assert motion.direction.tolist() == [-1.0, -1.0]
 
 
+def test_the_end_of_a_slow_transient_is_no_motion():
+    """A speed that falls from 1.5 times the speed of rest to 0 in 30 s: at rest for 29.999 of 32 s."""
+    time, speed = np.array([0.0, 1.0, 2.0, 2.001, 32.0]), np.array([1.0, 1.0, 1.0, 1.5e-3, 0.0])
+    position = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))])
+    motion = ActuatorMotion("lift", True, time, np.full(5, 10.0), position, speed)
+    found = demand(motion)
+    assert found.duty == pytest.approx(2.001 / 32.0, rel=1e-12)
+    assert found.holding_force == 10.0
+
+
 def test_vibrations_at_rest_need_no_torque():
     """A tenth of the speed below which an actuator is at rest, with a high acceleration."""
     time = np.array([0.0, 1.0, 2.0, 2.001])
