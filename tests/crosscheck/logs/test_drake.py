@@ -112,6 +112,11 @@ def test_the_loop_opening_of_a_log_is_the_distance_of_the_ends_of_the_loop(log):
     assert found.loop_error.opening == pytest.approx(max(gaps), abs=1e-15)
 
 
+def first_rows(table):
+    """Six rows, 0.025 s, whose error is small enough that no other readings are searched."""
+    return {name: column[:6] for name, column in table.items()}
+
+
 @pytest.mark.parametrize(
     "joints",
     [
@@ -123,7 +128,7 @@ def test_the_loop_opening_of_a_log_is_the_distance_of_the_ends_of_the_loop(log):
 def test_a_log_without_a_body_of_a_loop_has_no_loop_opening(log, joints):
     # the loop has the crank, the coupler and the rocker: each selection of joints lacks one or two of them
     columns = {f"linkage_{joint}_q" for joint in joints}
-    found = judged({name: x for name, x in log.items() if name == "time" or name in columns})
+    found = judged({name: x for name, x in first_rows(log).items() if name == "time" or name in columns})
     assert set(found.undetermined) == {ErrorKind.OPENING, ErrorKind.LOOP_ANGLE, ErrorKind.ENERGY}
     assert found.summary()["loop_error"] is None
     assert not any("loop" in line for line in log_lines(found).lines)
@@ -196,7 +201,7 @@ DAMAGE = {
         "",
     ),
     "name of a body": (
-        lambda joints, poses: {n.replace("coupler", "link2"): x for n, x in poses.items()},
+        lambda joints, poses: {n.replace("coupler", "link2"): x for n, x in first_rows(poses).items()},
         "not read, as the model has no joint, body or quantity of that name: link2_x",
         "",
     ),
@@ -208,8 +213,8 @@ DAMAGE = {
 }
 
 
-# 8 to 12 s each; tests/crosscheck/logs/test_logs.py has both kinds at other logs
-LONG = ("offset", "names of two bodies")
+# 6 to 12 s each; tests/crosscheck/logs/test_logs.py has these kinds at other logs
+LONG = ("offset", "names of two bodies", "order of quaternions")
 
 
 @pytest.mark.parametrize(
