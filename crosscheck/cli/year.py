@@ -36,8 +36,8 @@ from crosscheck.support.errors import CrosscheckError
     metavar="FILE",
     help="Weather: TMY3, EPW, or a file of NSRDB or PVGIS.",
 )
-@click.option("--latitude", type=float, help="Latitude, degrees north; not with --weather.")
-@click.option("--longitude", type=float, help="Longitude, degrees east; not with --weather.")
+@click.option("--latitude", type=float, help="Latitude, degrees north; with --weather to check its place.")
+@click.option("--longitude", type=float, help="Longitude, degrees east, as --latitude.")
 @click.option("--altitude", type=float, help="Altitude above sea level, m; not with --weather.")
 @click.option("--year", type=int, help="Year of the clear sky, or of a weather file with several.")
 @click.option(
@@ -98,7 +98,7 @@ def year_command(
     from crosscheck.solar.base import base_of
     from crosscheck.solar.place import SUN, Place
     from crosscheck.solar.tracking import Tracking
-    from crosscheck.solar.weather import clear_sky
+    from crosscheck.solar.weather import check_place, clear_sky
     from crosscheck.solar.weather_files import read_weather
     from crosscheck.solar.year import Module, stroke_of, tracker_year
     from crosscheck.solar.year_report import YEAR_FILES, write_year, year_report
@@ -126,8 +126,12 @@ def year_command(
                 "needed: --weather FILE, or --latitude, --longitude and --year for a clear sky"
             )
         place = Place(latitude, longitude or 0.0, altitude or 0.0)
-    elif not (latitude is longitude is altitude is None):
-        raise CrosscheckError("--weather has the place; leave out --latitude, --longitude and --altitude")
+    elif altitude is not None:
+        raise CrosscheckError("--weather has the altitude; leave out --altitude")
+    elif (latitude is None) != (longitude is None):
+        raise CrosscheckError("--latitude and --longitude check the place of --weather; give both or none")
+    elif latitude is not None and longitude is not None:
+        place = Place(latitude, longitude)
     optional_package("pvlib", SUN)
     source = scene or LIBRARY_TRACKER
     sources: list[str | Path] = [source, *([] if weather is None else [weather])]
@@ -135,10 +139,14 @@ def year_command(
     loaded, normal = load_tracker(scene, options, axis)
     with progress_shown() as progress:
         progress("reading the weather" if weather else "light of the sky")
-        if place is not None and year is not None:
-            sky = clear_sky(place, year, zone)
-        else:
+        if weather is not None:
             sky = read_weather(str(weather), year, zone)
+            if place is not None:
+                check_place(sky, place)
+        else:
+            assert place is not None
+            assert year is not None
+            sky = clear_sky(place, year, zone)
         progress("poses")
         found = tracker_year(loaded, normal, sky, tracking, orientation, module, ends)
         progress("irradiation")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from crosscheck.solar.energy import ClearSky, Sky
-from crosscheck.solar.place import SUN, Place, Sun, sun_over
+from crosscheck.solar.place import SUN, Place, Sun, sun_over, tilted
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.optional_packages import optional_package
 from newton_euler.scalars import Array
@@ -23,6 +23,14 @@ if TYPE_CHECKING:
 CLEAR_SKY_STEP = 0.5
 """Length of the intervals of a clear sky, h. Irradiation of a year at 0 to 65 degrees north on fixed, tilted
 and turning panels differs by 2e-4 or less from that with steps of 5 minutes."""
+
+
+NEAR = 0.5
+"""Largest angle on the globe, degrees, between a place and the place of its weather. It is 56 km: the cells
+of weather data and the distances of weather stations are some tens of km."""
+
+KM_PER_DEGREE = 111.2
+"""Length of a degree on the globe, km."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +98,24 @@ class Weather:
             problem = f"{self.source}: {self.rows[k]}: {name} is missing, which {needed_for} needs"
             raise CrosscheckError(problem)
         return values
+
+
+def check_place(weather: Weather, place: Place) -> None:
+    """Check that weather is of a given place or near it.
+
+    Raises:
+        CrosscheckError: for a place farther than `NEAR` away.
+    """
+    # positions as directions from the center of the globe
+    angles = np.radians([[each.latitude, each.longitude] for each in (weather.place, place)])
+    one, other = tilted(0.5 * np.pi - angles[:, 0], angles[:, 1])
+    away = float(np.degrees(np.arctan2(np.linalg.norm(np.cross(one, other)), one @ other)))
+    if away > NEAR:
+        raise CrosscheckError(
+            f"{weather.source} is of {weather.place}, {away:.1f} degrees ({away * KM_PER_DEGREE:.0f} km) "
+            f"from {place}; needed: weather of a place within {NEAR:g} degrees, or no --latitude and "
+            "--longitude"
+        )
 
 
 def clear_sky(place: Place, year: int, zone: str | None = None) -> Weather:

@@ -185,6 +185,17 @@ class Year:
         """(n,) W, electric power of the module on the panel; None without a module."""
         return None if self.module is None else self.module.power(self.irradiance[THIS], self.weather)
 
+    @cached_property
+    def electric(self) -> dict[str, float]:
+        """kWh, electric energy of the same module on each panel, by the names of `irradiance`; empty without
+        a module."""
+        if self.module is None:
+            return {}
+        return {
+            name: self.weather.irradiation(self.module.power(light, self.weather))
+            for name, light in self.irradiance.items()
+        }
+
     def monthly(self, power: Array) -> Array:
         """Sum a power (n,), W or W/m^2, over each month: (12,) kWh or kWh/m^2."""
         sums = np.bincount(self.weather.months - 1, weights=power, minlength=12)

@@ -74,13 +74,20 @@ def verdict(year: Year) -> str:
         f"tilted by the latitude, {part:.1f} % of facing the sun always; faces the sun for "
         f"{year.hours(Limit.NONE):.0f} of {daylight:.0f} h of daylight"
     )
-    if year.power is not None:
-        text += f"; {float(np.sum(year.monthly(year.power))):.0f} kWh of direct current"
+    if electric := year.electric:
+        gain = 100.0 * electric[THIS] / electric[FIXED] - 100.0
+        text += (
+            f"; {electric[THIS]:.0f} kWh of direct current, {abs(gain):.1f} % "
+            f"{'more' if gain >= 0.0 else 'less'} than tilted by the latitude"
+        )
     return text
 
 
 def _months_table(year: Year) -> Table:
-    """Tabulate the irradiation of each month and of the year, and the electric energy of a module."""
+    """Tabulate the irradiation of each month and of the year, and the electric energy of a module.
+
+    The column of the electric energy is of this tracker. The last row is of the same module on each panel.
+    """
     columns = [Column("month"), *(Column(HEADINGS[name], numeric=True) for name in year.light)]
     electric = None if year.power is None else year.monthly(year.power)
     if electric is not None:
@@ -93,6 +100,8 @@ def _months_table(year: Year) -> Table:
     rows.append(["year", *total, *([] if electric is None else [f"{np.sum(electric):.1f}"])])
     percent = [f"{100.0 * value / year.light[FIXED]:.1f}" for value in year.light.values()]
     rows.append(["of fixed, %", *percent, *([] if electric is None else [""])])
+    if year.electric:
+        rows.append(["electric, kWh", *(f"{energy:.1f}" for energy in year.electric.values()), ""])
     return Table("irradiation, kWh/m^2", columns, rows)
 
 
@@ -268,7 +277,7 @@ def write_year(
         "hours": {limit.name.lower(): year.hours(limit) for limit in Limit},
         "lost": {limit.name.lower(): year.lost_by(limit) for limit in Limit},  # kWh/m^2
         "strokes": year.strokes,  # m or rad
-        "electric": None if year.power is None else float(np.sum(year.monthly(year.power))),  # kWh
+        "electric": year.electric,  # kWh, by panel
     }
     picture_content = {plot: png(picture(year))}
     write_files(

@@ -19,7 +19,7 @@ from crosscheck.solar.base import Base, base_of, following_on_base  # noqa: E402
 from crosscheck.solar.energy import FACING, FIXED, FLAT, ONE_AXIS, THIS  # noqa: E402
 from crosscheck.solar.place import Place  # noqa: E402
 from crosscheck.solar.tracking import Tracking  # noqa: E402
-from crosscheck.solar.weather import Weather  # noqa: E402
+from crosscheck.solar.weather import Weather, check_place  # noqa: E402
 from crosscheck.solar.year import FLAT_ON_BASE, Limit, Module, stroke_of, tracker_year  # noqa: E402
 from crosscheck.support.errors import CrosscheckError  # noqa: E402
 from newton_euler import Axis, Body, Cylinder, Fixed, Mechanism, Revolute, Scene, Sine, Spline, simulate  # noqa: E402
@@ -335,6 +335,50 @@ def test_set_points_face_the_sun_from_a_moving_base():
         following_on_base(panel_scene([0, 1, 0]), NORMAL, np.tile(towards, (6, 1)), base, period)
 
 
+@pytest.mark.parametrize(
+    ("latitude", "longitude", "away"),
+    [
+        (PLACE.latitude + 0.4, PLACE.longitude, None),
+        (PLACE.latitude, PLACE.longitude - 0.6, None),  # 0.6 degrees by the cosine of the latitude
+        (PLACE.latitude - 0.6, PLACE.longitude, 0.6),
+        (PLACE.latitude, -PLACE.longitude, None),
+        (-PLACE.latitude, PLACE.longitude, 2.0 * abs(PLACE.latitude)),
+    ],
+)
+def test_weather_is_of_the_place(weather, latitude, longitude, away):
+    """The angle between both places by the spherical law of cosines."""
+    north = np.radians([PLACE.latitude, latitude])
+    turn = np.cos(np.radians(longitude - PLACE.longitude))
+    angle = np.degrees(np.arccos(np.prod(np.sin(north)) + np.prod(np.cos(north)) * turn))
+    assert away is None or angle == pytest.approx(away, abs=1e-6)
+    if angle < 0.5:
+        check_place(weather, Place(latitude, longitude))
+        return
+    with pytest.raises(
+        CrosscheckError, match=rf"sample is of .*, {angle:.1f} degrees \({111.2 * angle:.0f} km\)"
+    ):
+        check_place(weather, Place(latitude, longitude))
+
+
+def test_the_place_of_a_weather_file_is_checked(tmp_path, capsys):
+    file = tmp_path / "town.csv"
+    file.write_text(synthetic.tmy3()[0])
+    given = [
+        "year",
+        "--weather",
+        file,
+        "--latitude",
+        "-33",
+        "--longitude",
+        "151",
+        "--output",
+        tmp_path / "out",
+    ]
+    status, _, error = run(capsys, *given)
+    assert (status, "needed: weather of a place within 0.5 degrees" in " ".join(error.split())) == (2, True)
+    assert not (tmp_path / "out" / "year.json").exists()
+
+
 def test_the_command_writes_what_it_prints(tmp_path, capsys):
     """Any mechanism with a face; sums of the files by an own addition."""
     model, file, out = tmp_path / "gimbal.xml", tmp_path / "town.csv", tmp_path / "out"
@@ -352,7 +396,10 @@ def test_the_command_writes_what_it_prints(tmp_path, capsys):
     total = sum(float(row["this_tracker_W_per_m2"]) for row in hours) / 1000.0
     assert content["irradiation"][THIS] == pytest.approx(total, rel=1e-6)
     assert sum(float(row["this tracker kWh/m^2"]) for row in months) == pytest.approx(total, rel=1e-5)
-    assert content["electric"] == pytest.approx(0.4 * total, rel=1e-6)
+    assert content["electric"][THIS] == pytest.approx(0.4 * total, rel=1e-6)
+    fixed = sum(float(row["tilted_by_the_latitude_W_per_m2"]) for row in hours) / 1000.0
+    assert content["electric"][FIXED] == pytest.approx(0.4 * fixed, rel=1e-6)
+    assert re.search(rf"electric, kWh +{0.4 * total:.1f} .* {0.4 * fixed:.1f} ", printed)
     assert content["hours"]["none"] == sum(row["limit"] == "none" for row in hours)
     assert re.search(rf"^year +{total:.1f} ", printed, re.MULTILINE)
     # the page, and the folder is protected
@@ -368,7 +415,8 @@ def test_the_command_writes_what_it_prints(tmp_path, capsys):
             ["--latitude", "5"],
             "needed: --weather FILE, or --latitude, --longitude and --year for a clear sky",
         ),
-        (["--weather", "none.csv", "--latitude", "5"], "--weather has the place; leave out --latitude"),
+        (["--weather", "none.csv", "--latitude", "5"], "--latitude and --longitude check the place of"),
+        (["--weather", "none.csv", "--altitude", "5"], "--weather has the altitude; leave out --altitude"),
         (["--weather", "none.csv"], "none.csv: cannot be read: No such file"),
         (
             ["pendulum", "--latitude", "5", "--year", "2026"],
