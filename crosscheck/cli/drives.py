@@ -90,7 +90,7 @@ def drives_command(
         else:
             loaded, import_report = load_scene(scene, options)
             warn_about_import(scene, import_report, loaded)
-            motions = motions_of_scene(loaded, import_report, progress)
+            motions = motions_of_scene(loaded, options, import_report, progress)
         progress("drives")
         found = size_all(motions, str(catalog), drives, Requirements(margin, must_hold))
         report, written = write_drives(found, paths[0].parent, scene, options)

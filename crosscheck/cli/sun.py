@@ -64,6 +64,13 @@ from crosscheck.support.errors import CrosscheckError
     help="Direction that the wind comes from, from north to the east; needs --wind.  [default: 0]",
 )
 @click.option(
+    "--wind-up",
+    type=click.FloatRange(-1.0, 1.0),
+    metavar="FRACTION",
+    help="Upward speed of the wind by its speed, such as 0.25 or -0.25 of gusts on a flat panel; "
+    "needs --wind.  [default: 0]",
+)
+@click.option(
     "--speed",
     type=float,
     default=0.01,
@@ -94,6 +101,7 @@ def sun_command(
     stow: float | None,
     wind: str | None,
     wind_from: float | None,
+    wind_up: float | None,
     with_reach: bool,
     output: Path | None,
     **numbers: float,
@@ -116,7 +124,7 @@ def sun_command(
     from newton_euler.optional_packages import optional_package
 
     # the rules of tracking and the wind
-    for name, value in (("--stow", stow), ("--wind-from", wind_from)):
+    for name, value in (("--stow", stow), ("--wind-from", wind_from), ("--wind-up", wind_up)):
         if value is not None and wind is None:
             raise CrosscheckError(f"{name} has no effect without --wind SPEED|CSV; give both or none")
     options = tracker_settings(scene, settings, why="controllers follow the sun")
@@ -144,7 +152,18 @@ def sun_command(
     with progress_shown() as progress:
         for place, date in with_progress(pairs, progress, "day"):
             days.append(
-                tracker_day(loaded, normal, place, date, zone, tracking, period, speeds, wind_from or 0.0)
+                tracker_day(
+                    loaded,
+                    normal,
+                    place,
+                    date,
+                    zone,
+                    tracking,
+                    period,
+                    speeds,
+                    wind_from or 0.0,
+                    wind_up or 0.0,
+                )
             )
         # the report compares the irradiation with that of other panels, such as a fixed one
         progress("sunlight on other panels, plots and recording")

@@ -55,6 +55,15 @@ class Requirements(NamedTuple):
             return limit.name
         return HOLDING if self.must_hold and not sized.holds else ""
 
+    @property
+    def text(self) -> str:
+        """Requirements in a sentence."""
+        margin = (
+            f"a margin of {100.0 * self.margin:g} % to each limit" if self.margin else "no margin to limits"
+        )
+        holding = "the load is held" if self.must_hold else "the load need not be held"
+        return f"required: {margin} (--margin); {holding} with the motor off (--must-hold)"
+
 
 @dataclass(frozen=True, eq=False)
 class DriveResults:
@@ -67,6 +76,7 @@ class DriveResults:
         drives: drives of the catalog.
         sized: drive and actuator compared, by name of the drive and name of the actuator.
         requirements: requirements of the user.
+        conditions: sentences on what the motion and its forces are.
         notes: sentences on the run.
     """
 
@@ -76,6 +86,7 @@ class DriveResults:
     drives: Sequence[Drive]
     sized: Mapping[tuple[str, str], Sized]
     requirements: Requirements
+    conditions: Sequence[str] = ()
     notes: Sequence[str] = ()
 
     @cached_property
@@ -106,6 +117,8 @@ def drive_report(found: DriveResults) -> Report:
     summary: list[Part] = [_forces(found), _powers(found)]
     summary += [_drives(found, motion) for motion in found.motions]
     summary.append(Lines("", [_choice(found, motion.name) for motion in found.motions]))
+    friction = "friction of motors, gearboxes and screws: efficiencies and friction_torque of the catalog"
+    summary.append(Lines("Conditions", [*found.conditions, friction, found.requirements.text]))
     if found.notes:
         summary.append(Lines("", list(found.notes)))
     in_full: list[Part] = [_limits(found, motion) for motion in found.motions]

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from crosscheck.compare.activity import reduced_model_text, watched
 from crosscheck.design.drive_plots import drive_figure
@@ -23,6 +25,8 @@ from newton_euler.analysis.loads.drives import Drive, Sized, size
 from newton_euler.analysis.loads.motion_files import motions_csv, read_motions
 from newton_euler.model.armatures import Armature
 from newton_euler.model.scene import Scene
+from newton_euler.model.switched_forces import ElasticGear, JointFriction
+from newton_euler.model.wind import WindLoad
 from newton_euler.reading.import_report import ImportReport
 from newton_euler.runs.simulate import simulate
 
@@ -36,28 +40,35 @@ class Motions(NamedTuple):
     Attributes:
         name: name of the scene, or of the CSV without suffix.
         actuators: force and motion of each actuator.
+        conditions: sentences on what the motion and its forces are.
         notes: sentences for the report.
         is_reduced: True if elements of the model file would have acted that are not simulated.
     """
 
     name: str
     actuators: tuple[ActuatorMotion, ...]
+    conditions: tuple[str, ...]
     notes: tuple[str, ...] = ()
     is_reduced: bool = False
 
 
 def motions_of_file(path: str) -> Motions:
     """Read the motions of actuators from a CSV; raises `SourceError`."""
-    return Motions(Path(path).stem, read_motions(path))
+    condition = f"forces and motion of {path}: loads, wind and friction are those of the tool that wrote it"
+    return Motions(Path(path).stem, read_motions(path), (condition,))
 
 
 def motions_of_scene(
-    scene: Scene, import_report: ImportReport | None, progress: Callable[[str], None]
+    scene: Scene,
+    options: Mapping[str, str],
+    import_report: ImportReport | None,
+    progress: Callable[[str], None],
 ) -> Motions:
     """Simulate a scene, and return the motions of its actuators.
 
     Args:
         scene: scene with control laws.
+        options: options of the scene that were given.
         import_report: how the model file was imported; None if the scene is not from a model file.
         progress: called with the name of the stage.
 
@@ -74,7 +85,19 @@ def motions_of_scene(
     acting = watched(scene, import_report, run).acting if import_report else []
     if acting:
         notes.insert(0, f"REDUCED MODEL: {reduced_model_text(acting)}")
-    return Motions(scene.name, actuators, tuple(notes), bool(acting))
+    return Motions(scene.name, actuators, tuple(_conditions(scene, options)), tuple(notes), bool(acting))
+
+
+def _conditions(scene: Scene, options: Mapping[str, str]) -> Iterator[str]:
+    """Yield sentences on the motion of a scene and on the forces that the actuators work against."""
+    given = ", ".join(f"{name}={value}" for name, value in options.items())
+    yield f"motion: a run of {scene.duration:g} s, {given if given else 'default options of the scene'}"
+    weight = "weight" if np.any(scene.gravity) else "no weight"
+    winds = [force.element for force in scene.forces if isinstance(force, WindLoad)]
+    others = [force.element for force in scene.forces if not isinstance(force, WindLoad)]
+    friction = [each for each in scene.forces if isinstance(each, JointFriction | ElasticGear)]
+    parts = [weight, *(winds or ["no wind"]), *others, *([] if friction else ["no friction of joints"])]
+    yield f"forces in the run: {', '.join(parts)}"
 
 
 def _rotor_notes(scene: Scene) -> list[str]:
@@ -93,7 +116,16 @@ def size_all(
     sized = {
         (drive.name, motion.name): size(drive, motion) for motion in motions.actuators for drive in drives
     }
-    return DriveResults(motions.name, catalog, motions.actuators, drives, sized, requirements, motions.notes)
+    return DriveResults(
+        motions.name,
+        catalog,
+        motions.actuators,
+        drives,
+        sized,
+        requirements,
+        motions.conditions,
+        motions.notes,
+    )
 
 
 def write_drives(
@@ -137,6 +169,7 @@ def write_drives(
         "drives": rows,
         "limits": limits,
         "catalog_rows": [asdict(drive) for drive in found.drives],
+        "conditions": list(found.conditions),
         "notes": list(found.notes),
     }
     results, table, limit_table, demand_table, motion_table, plot = (folder / name for name in DRIVE_FILES)

@@ -117,6 +117,7 @@ class Day:
         ways: clearances on the ways of long moves.
         axis: the panel's normal as an axis of a body.
         wind: (n,) m/s, wind speed at the times of the set-points; None for calm.
+        wind_up: upward speed of the wind as a fraction of `wind`.
     """
 
     place: Place
@@ -133,6 +134,7 @@ class Day:
     ways: Ways
     axis: Axis
     wind: Array | None = None
+    wind_up: float = 0.0
 
     @property
     def poses(self) -> Poses:
@@ -303,6 +305,7 @@ def tracker_day(
     period: float = 60.0,
     wind: Array | None = None,
     wind_from: float = 0.0,
+    wind_up: float = 0.0,
 ) -> Day:
     """Simulate a day of a tracker, from midnight to midnight, with a new set-point every `period` s.
 
@@ -321,6 +324,8 @@ def tracker_day(
             panel; None for calm. Each speed lasts until the next set-point. There is a load if the panel is a
             box, see `crosscheck.solar.wind.panel_box`.
         wind_from: direction that the wind comes from, degrees from north to the east.
+        wind_up: upward speed of the wind as a fraction of `wind`, in addition, such as 0.25 or -0.25 for a
+            gust on a panel that lies flat.
 
     Raises:
         CrosscheckError: for a scene with other controllers, and for an invalid date, zone or period.
@@ -334,8 +339,9 @@ def tracker_day(
     wanted = tracking.normals(aim, wind)
     faced = face(geared.planned, axis, wanted, tracking)
     scene, loads, plan = following(geared, faced.poses, period, tracking)
-    if wind is not None and (load := wind_on_panel(scene, axis, scene.times, wind, wind_from)):
-        scene = replace(scene, forces=(*scene.forces, load))
+    if wind is not None:
+        load = wind_on_panel(scene, axis, scene.times, wind, wind_from, wind_up)
+        scene = replace(scene, forces=(*scene.forces, *([load] if load else [])))
     scene = replace(scene, outputs=frozenset({"velocities", "actuation"}))
     motion = compile_scene(scene).simulate(times=plan.samples(scene.times), rest=REST_RATE)
     return Day(
@@ -353,4 +359,5 @@ def tracker_day(
         ways=faced.obstacles.ways(plan, faced.poses),
         axis=axis,
         wind=wind,
+        wind_up=wind_up,
     )

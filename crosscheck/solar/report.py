@@ -141,6 +141,8 @@ def verdict(day: Day) -> str:
     if day.wind is not None and np.isfinite(day.tracking.stow):
         flat_hours = day.hours(day.sun.is_up & day.stowed)
         text += f"; lies flat for {flat_hours:.1f} h of daylight, in winds from {day.tracking.stow:g} m/s on"
+        if day.wind_acts and not day.wind_up:
+            text += ", without a load: the wind is horizontal (--wind-up)"
     if day.off_set_points.any():
         text += f"; {deviation_text(day)}"
     if day.faced.replaced.any():
@@ -193,6 +195,7 @@ def assumptions(day: Day) -> Iterator[str]:
         f"set-points every {day.period:g} s, held by PD laws with the weight fed forward; tilt at most "
         f"{day.tracking.most_tilt:g} degrees; dead band {day.tracking.deadband:g} degrees"
     )
+    yield from zeros(day)
     yield (
         f"between set-points the speed is a trapezoid of at most {day.tracking.speed:g} m/s or rad/s and "
         f"{day.tracking.acceleration:g} m/s^2 or rad/s^2, the same start and end for all actuators"
@@ -205,11 +208,28 @@ def assumptions(day: Day) -> Iterator[str]:
     wind = "no wind"
     if day.wind is not None:
         panel = f"the box of {day.axis.body!r}" if day.wind_acts else "no box: there is no load"
-        wind = f"wind acts on {panel}, and each speed lasts until the next set-point"
+        upward = f", {day.wind_up:g} of its speed upward" if day.wind_up else ", horizontal"
+        wind = f"wind acts on {panel}{upward}, and each speed lasts until the next set-point"
     yield f"at night the panel waits in the position of the next morning; the base is fixed; {wind}"
     yield "clear sky (Ineichen, pvlib's turbidity), diffuse light of Hay and Davies, ground of albedo 0.2"
     friction = "friction as in the scene" if day.scene.switched_forces else "no friction"
     yield f"energy of actuators is their positive mechanical work; no recuperation, {friction}"
+
+
+def zeros(day: Day) -> Iterator[str]:
+    """Yield sentences on the pose in which each set-point is 0, for homing: the initial pose of the scene."""
+    mechanism = day.scene.mechanism
+    for (name, (driven, coordinate)), (follower, _) in zip(day.keys.items(), day.geared.keys, strict=True):
+        motions = mechanism.joint(driven).motions
+        axis = [motion.axis for motion in motions if motion.kind != "ball"][coordinate]
+        direction = ", ".join(f"{round(x, 6) + 0.0:g}" for x in axis / np.linalg.norm(axis))
+        body = mechanism.body(mechanism.joint(follower).second)
+        x, y, z = (f"{1e3 * value:.1f}" for value in body.center_of_mass)
+        way = "along" if day.is_slide(name) else "about"
+        yield (
+            f"zero of {name} is the initial pose of the scene, with the center of mass of {body.name!r} at "
+            f"({x}, {y}, {z}) mm; positive {way} ({direction})"
+        )
 
 
 def survey_report(days: Sequence[Day]) -> Report:

@@ -53,7 +53,7 @@ def panel_box(scene: Scene, axis: Axis) -> tuple[Box, Array] | None:
 
 
 def wind_on_panel(
-    scene: Scene, axis: Axis, times: Array, speeds: Array, blows_from: float
+    scene: Scene, axis: Axis, times: Array, speeds: Array, blows_from: float, upward: float = 0.0
 ) -> WindLoad | None:
     """Return the load of the wind on the panel; None if the size of the panel is not known.
 
@@ -63,6 +63,8 @@ def wind_on_panel(
         times: (n,) s.
         speeds: (n,) m/s; each one lasts until the next time.
         blows_from: direction that the wind comes from, degrees from north to the east.
+        upward: upward speed as a fraction of `speeds`, in addition, such as that of a gust. A panel that lies
+            flat has a load by this speed only.
     """
     if (panel := panel_box(scene, axis)) is None:
         return None
@@ -76,6 +78,7 @@ def wind_on_panel(
         second_side=sides[1],
         direction=[-np.sin(from_north), -np.cos(from_north), 0.0],
         speed=Steps(times, speeds),
+        vertical_speed=Steps(times, upward * speeds) if upward else 0.0,
     )
 
 

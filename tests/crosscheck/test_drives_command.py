@@ -57,6 +57,7 @@ def test_a_motion_and_the_example(capsys, monkeypatch, tmp_path):
         for each in of_drive:
             margin = 1.0 - float(each["needed"]) / float(each["allowed"])
             assert float(each["margin"]) == pytest.approx(margin, rel=1e-12)
+    assert "required: no margin to limits (--margin)" in " ".join(out.split())
     (demand,) = rows(folder / "demand.csv")
     assert (demand["unit"], float(demand["peak_force"])) == ("N", 10.0)
     assert float(demand["stroke"]) == pytest.approx(0.3)

@@ -1,5 +1,6 @@
 """A day of a tracker whose motors turn lead screws."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from crosscheck.solar.geared import Geared  # noqa: E402
 from crosscheck.solar.obstacles import Cause  # noqa: E402
 from crosscheck.solar.place import Place, tilted  # noqa: E402
 from crosscheck.solar.reach import reach_over_year  # noqa: E402
-from crosscheck.solar.report import day_report  # noqa: E402
+from crosscheck.solar.report import day_report, zeros  # noqa: E402
 from crosscheck.solar.tracking import Tracking  # noqa: E402
 from crosscheck.solar.weather import Weather  # noqa: E402
 from crosscheck.solar.year import Limit, tracker_year  # noqa: E402
@@ -58,6 +59,19 @@ def test_motors_do_the_work_of_the_sliders_over_the_efficiency_of_the_screws(day
     assert efficiency == pytest.approx(0.372, abs=1e-3)
     assert motors > sliders / efficiency
     assert motors < 5.0 * sliders / efficiency
+
+
+def test_zeros_of_set_points_are_stated(days):
+    """The heights of the sliders at zero: those of the poses, less the set-points."""
+    for day in days:
+        sentences = list(zeros(day))
+        assert len(sentences) == 2
+        for sentence, slider, key in zip(sentences, ("slider_2", "slider_3"), day.geared.keys, strict=True):
+            body = day.scene.mechanism.body_index(slider)
+            height = 1e3 * (day.poses.position[5, body, 2] - day.poses.coordinates[key][5])
+            point = re.search(rf"'{slider}' at \(([^)]*)\) mm", sentence)[1]
+            assert float(point.split(",")[2]) == pytest.approx(height, abs=0.051)
+            assert "(0, 0, 1)" in sentence
 
 
 def test_energies_are_integrals_of_the_power(days):

@@ -10,6 +10,7 @@ from plate_coefficients import blended
 from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker
 from crosscheck.solar.day import tracker_day
 from crosscheck.solar.place import Place, day_times, sun_over
+from crosscheck.solar.report import verdict
 from crosscheck.solar.tracking import UP, Tracking
 from crosscheck.solar.wind import panel_box, wind_on_panel
 from newton_euler import Axis, Mechanism, solve_poses
@@ -37,19 +38,19 @@ def day():
     )
 
 
-def wind_force(normal, first_side):
+def wind_force(normal, first_side, wind=np.array([12.0, 0.0, 0.0])):  # noqa: B008
     """N, normal force, and m, distance of its point from the center along the wind, by the formulas that
-    `WindLoad` cites, for a wind of 12 m/s to the east."""
-    wind = np.array([12.0, 0.0, 0.0])
+    `WindLoad` cites, for a wind (3,), m/s; east, north, up."""
+    speed = np.linalg.norm(wind)
     second_side = np.cross(normal, first_side)
     along = wind - (wind @ normal) * normal
     along /= np.linalg.norm(along)
     first, second = along @ first_side, along @ second_side
     ratio = np.hypot(LENGTH * second, WIDTH * first) / np.hypot(LENGTH * first, WIDTH * second)
-    sine = abs(wind @ normal) / 12.0
+    sine = abs(wind @ normal) / speed
     degrees = np.degrees(np.arcsin(sine))
     coefficient, moment = blended(degrees, ratio, LENGTH / WIDTH)
-    pressure = 0.5 * 1.225 * LENGTH * WIDTH * 144.0
+    pressure = 0.5 * 1.225 * LENGTH * WIDTH * speed**2
     force = pressure * coefficient * np.sign(wind @ normal) * normal
     # ahead of the center, in proportion to the components along both sides
     lead = moment / coefficient
@@ -119,7 +120,51 @@ def test_dead_bands_do_not_keep_a_panel_from_stowing():
     assert tilts == pytest.approx([30.0, 30.0])
 
 
-@pytest.mark.parametrize("option", [("--stow", "12"), ("--wind-from", "90")])
+def test_vertical_gusts_lift_a_panel_that_lies_flat():
+    """Force and arm of an upward wind by the formulas of `WindLoad`; the sliders' part by virtual work."""
+    wind, up, row = np.full(13, 20.0), 0.25, 6
+    place, tracking = Place(11.56, 104.92), Tracking(stow=15.0)
+    calm, gusty = (
+        tracker_day(
+            sun_tracker(),
+            PANEL_NORMAL,
+            place,
+            "2026-03-21",
+            None,
+            tracking,
+            7200.0,
+            wind,
+            270.0,
+            wind_up=each,
+        )
+        for each in (0.0, up)
+    )
+    assert calm.stowed.all()
+    scene, step = sun_tracker(), 1e-5
+    panel = scene.mechanism.body_index("panel_7")
+    at = {
+        name: motion.position[gusty.rows[row]]
+        for name, motion in zip(gusty.actuators, gusty.motions, strict=True)
+    }
+    for name in at:
+        moved = {each: np.array([value] * 3) for each, value in at.items()}
+        moved[name] = at[name] + step * np.array([-1.0, 0.0, 1.0])
+        poses = solve_poses(scene, moved, axis=PANEL_NORMAL, start=gusty.poses.state(row))
+        frames, centers = rotations(poses.quaternion[:, panel]), poses.position[:, panel]
+        masses = np.array([body.mass for body in scene.mechanism.bodies])[1:]
+        height = poses.position[:, 1:, 2] @ masses
+        force, arm = wind_force(frames[1][:, 2], frames[1][:, 0], np.array([20.0, 0.0, 20.0 * up]))
+        assert force[2] > 0.5
+        points = [center + frame @ (frames[1].T @ arm) for center, frame in zip(centers, frames, strict=True)]
+        by_wind = force @ (points[2] - points[0]) / (2.0 * step)
+        expected = G * (height[2] - height[0]) / (2.0 * step) - by_wind
+        assert gusty.actuators[name].holding[row] == pytest.approx(expected, abs=2e-4)
+        assert abs(gusty.actuators[name].holding[row] - calm.actuators[name].holding[row]) > 0.1
+    assert "without a load: the wind is horizontal" in verdict(calm)
+    assert "without a load" not in verdict(gusty)
+
+
+@pytest.mark.parametrize("option", [("--stow", "12"), ("--wind-from", "90"), ("--wind-up", "0.2")])
 def test_options_of_the_wind_need_one(capsys, option):
     status, _, err = run(capsys, "sun", "--latitude", "10", "--date", "2026-03-21", *option)
     assert status == 2
