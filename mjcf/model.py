@@ -7,7 +7,8 @@ equations of motion with rigid and with soft constraints.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import mujoco
@@ -71,6 +72,8 @@ class MujocoScene:
         time: time, s, of prescribed motions, control laws and wind.
         nq: number of coordinates.
         nv: number of velocities.
+        friction: frictions that grow with reactions; None for a scene without.
+        held_friction: given frictions in place of those; None to solve for them.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -111,7 +114,7 @@ class MujocoScene:
         # switched forces, and the indices in MuJoCo's qpos and qvel of their coordinates
         self._switched = SwitchedLoads(scene)
         self.held_friction: HeldFriction | None = None
-        self._friction = self.engine_friction(scene) if loaded_frictions(scene) else None
+        self.friction = self.engine_friction(scene) if loaded_frictions(scene) else None
         names = [coordinate_name(self.mechanism.joint(joint), k) for joint, k in self._switched.keys]
         switched_joints = np.array([self.model.joint(name).id for name in names], dtype=int)
         self._switched_q = self.model.jnt_qposadr[switched_joints]
@@ -223,24 +226,29 @@ class MujocoScene:
             # normal force, N, and two moments, N m, of the wind relative to the plate's center
             data.ctrl[motors] = wind_on_plate(load, axes.T @ load.velocity(data.time) - velocity[3:])
 
-    def switched_loads(self, data: Any) -> tuple[Array, Array, float]:
-        """Return forces, their elastic parts and the energy of switched forces, see `SwitchedLoads`."""
+    def loaded_friction(self, q: Array, v: Array, factor: float = 1.0) -> HeldFriction:
+        """Compute the frictions that grow with reactions, N or N m, by identity of the element, at `time`.
 
-        def friction(rates: Sequence[float]) -> Mapping[str, float]:
-            """Compute the frictions that grow with reactions."""
-            if self.held_friction is not None:
-                return self.held_friction
-            if self._friction is None:
-                return {}
-            q, v = self.layout.to_qpos.T @ data.qpos, self.layout.to_qvel.T @ data.qvel
-            return self._friction.forces(self.scene, q, v, data.time, rates)
+        Args:
+            q, v: (nq,) and (nv,) tree coordinates and velocities.
+            factor: of the load coefficients.
+        """
+        return self._frictions(q, v, self.time, factor)
 
-        return self._switched.evaluate(data.qpos[self._switched_q], data.qvel[self._switched_v], friction)
+    def _frictions(self, q: Array, v: Array, time: float, factor: float = 1.0) -> HeldFriction:
+        """Compute the frictions of `loaded_friction` at a time, s."""
+        if self.held_friction is not None or self.friction is None:
+            return self.held_friction or {}
+        rates = (self.layout.to_qvel @ v)[self._switched_v[self._switched.loaded]].tolist()
+        return self.friction.forces(self.scene, q, v, time, rates, factor)
 
     def set_switched_forces(self, data: Any) -> None:
         """Apply switched forces to MuJoCo's joints, for the coordinates and rates in `data`."""
         if len(self._switched_v):
-            forces, self.applied_elastic, _ = self.switched_loads(data)
+            q, v = self.layout.to_qpos.T @ data.qpos, self.layout.to_qvel.T @ data.qvel
+            friction = partial(self._frictions, q, v, data.time)
+            x, rates = data.qpos[self._switched_q], data.qvel[self._switched_v]
+            forces, self.applied_elastic = self._switched.forces(x, rates, friction)
             data.qfrc_applied[:] = 0.0
             np.add.at(data.qfrc_applied, self._switched_v, forces)
 
@@ -284,7 +292,7 @@ class MujocoScene:
         mujoco.mj_energyPos(self.model, self.data)
         mujoco.mj_energyVel(self.model, self.data)
         potential, kinetic = self.data.energy
-        _, _, switched_energy = self.switched_loads(self.data)
+        switched_energy = self._switched.energy(self.data.qpos[self._switched_q])
         return Observation(
             state=self.read_state(),
             kinetic_energy=float(kinetic),

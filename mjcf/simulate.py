@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
@@ -305,6 +306,8 @@ def _run(
 def _divergence(warning: str, time: float, outputs: Sequence[Output]) -> DivergenceError:
     """Return the error of a diverged run, with the fastest joint and the largest force at the last output.
 
+    Frictions that have jammed are the reason, if there are any.
+
     Args:
         warning: MuJoCo's warning, of which only the first sentence is kept.
         time: s, when MuJoCo warned.
@@ -312,6 +315,8 @@ def _divergence(warning: str, time: float, outputs: Sequence[Output]) -> Diverge
     """
     last = outputs[-1]
     scene, state = last.system.scene, last.system.state(last.q, last.v)
-    force_inputs = surroundings(scene, state, time)  # the quantities that forces depend on
-    first_sentence, _, _ = warning.partition(". ")
-    return DivergenceError(time, with_likely_causes(scene, state, first_sentence, force_inputs))
+    friction = partial(last.system.loaded_friction, last.q, last.v)
+    force_inputs = surroundings(scene, state, time)._replace(friction=friction)
+    jam = last.system.friction.jam if last.system.friction else ""
+    reason = jam or warning.partition(". ")[0]
+    return DivergenceError(time, with_likely_causes(scene, state, reason, force_inputs))

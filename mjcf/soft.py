@@ -127,8 +127,8 @@ class SoftMuJoCo(EvaluatedScene):
         if not (len(self.prescribed) or len(self.driven.law_indices) or evaluated):
             yield
             return
-        if self._friction is not None:
-            _ = self._friction.model  # no model can be compiled while the callback is set
+        if self.friction is not None:
+            _ = self.friction.model  # no model can be compiled while the callback is set
         previous_callback = mujoco.get_mjcb_control()
         mujoco.set_mjcb_control(self._control_callback)
         try:

@@ -16,7 +16,8 @@ with Pinocchio's mass matrix, Jacobians and bias forces instead ("elimination" i
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -240,7 +241,7 @@ class PinocchioSystem:
         _, rates = self._measured(q, v)
         power = self._laws.power(self.actuation(q, v), rates)
         if len(self._switched_v):
-            forces, elastic, _ = self._switched_loads(q, v)
+            forces, elastic = self._switched_loads(q, v)
             power += float((forces - elastic) @ v[self._switched_v])
         if self._balls:
             power += self._balls.power(v)
@@ -277,16 +278,17 @@ class PinocchioSystem:
             self._latest_actuation = state, self._actuation(q, v)
         return self._latest_actuation[1]
 
-    def _switched_loads(self, q: Array, v: Array) -> tuple[Array, Array, float]:
-        """Return forces, their elastic parts and the energy of switched forces, see `SwitchedLoads`."""
+    def _switched_loads(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return the forces of switched forces, and their elastic parts, see `SwitchedLoads`."""
+        friction = partial(self.loaded_friction, q, v)
+        return self._switched.forces(q[self._switched_q], v[self._switched_v], friction)
 
-        def friction(rates: Sequence[float]) -> Mapping[str, float]:
-            """Compute the frictions that grow with reactions."""
-            if self.held_friction is not None:
-                return self.held_friction
-            return self._friction.forces(self.scene, q, v, self.time, rates)
-
-        return self._switched.evaluate(q[self._switched_q], v[self._switched_v], friction)
+    def loaded_friction(self, q: Array, v: Array, factor: float = 1.0) -> HeldFriction:
+        """Compute the frictions that grow with reactions, see `System.loaded_friction`."""
+        if self.held_friction is not None:
+            return self.held_friction
+        rates = v[self._switched_v[self._switched.loaded]].tolist()
+        return self._friction.forces(self.scene, q, v, self.time, rates, factor)
 
     def _key(self, q: Array, v: Array) -> tuple[Any, ...]:
         """Return a key of a state for results that are kept, with the scene, the time and frictions."""
@@ -568,7 +570,7 @@ class PinocchioSystem:
         root, (x, _) = self._model.inertias[0], self._measured(q, v)
         fixed = -root.mass * float(self.scene.gravity @ root.lever)
         springs = self._laws.energy(x) + self._balls.energy(q) + self._forces.energy(self._data)
-        _, _, switched = self._switched_loads(q, v)
+        switched = self._switched.energy(q[self._switched_q])
         return Observation(
             state=state,
             kinetic_energy=kinetic,

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ from newton_euler.compiled.run import METHODS, native_method
 from newton_euler.equations.applied_forces import surroundings, with_likely_causes
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.dense import singular_values
+from newton_euler.equations.load_friction import jam
 from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out
 from newton_euler.equations.system import System, rate_of_phi
 from newton_euler.errors import AssemblyError
@@ -353,5 +355,7 @@ class EvaluatedSystem(Callbacks):
         if status in (Status.TOO_MANY_STEPS, Status.STEP_TOO_SMALL) and integrator == "DOP853":
             reason += "; for stiff equations use Radau"
         with np.errstate(all="ignore"):  # a run may have ended because its numbers are not finite
-            around = surroundings(system.scene, state, time)
+            friction = partial(system.loaded_friction, last[: system.nq], last[system.nq :])
+            reason = jam(system.scene, friction, [last]) or reason
+            around = surroundings(system.scene, state, time)._replace(friction=friction)
             return IntegrationError(time, with_likely_causes(system.scene, state, reason, around))

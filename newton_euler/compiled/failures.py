@@ -7,12 +7,14 @@ likely cause: a fixed step that is too long, a singular configuration, or stiff 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
 from newton_euler.compiled.equations import CompiledEquations
 from newton_euler.equations.applied_forces import with_likely_causes
 from newton_euler.equations.dense import largest_share, singular_values
+from newton_euler.equations.load_friction import jam
 from newton_euler.equations.system import dimensionless_jacobian, fastest_joint
 from newton_euler.integrators.fixed_step import RK4_LIMIT
 from newton_euler.integrators.options import Options, max_adaptive_steps
@@ -78,7 +80,9 @@ def failure(
     state = system.state(q, v)
     if error is not None:
         reason = str(error)
-    elif status in UNSTABLE_STATUSES and (found := _instability(code, options, states[:-1])):
+    elif (found := _jam(code, states)) or (
+        status in UNSTABLE_STATUSES and (found := _instability(code, options, states[:-1]))
+    ):
         reason = found
     elif status == Status.OPEN:
         joint, residual = worst_joint(system, state)
@@ -89,6 +93,21 @@ def failure(
     error_class = UndeterminedStartError if status == Status.UNDETERMINED else IntegrationError
     surroundings = system.surroundings(q, v)  # the quantities that forces depend on
     return error_class(reached, with_likely_causes(system.scene, state, reason, surroundings))
+
+
+def _jam(code: CompiledEquations, states: Sequence[Array]) -> str:
+    """Describe the frictions that jam at the last state whose numbers are finite; "" for none.
+
+    Args:
+        code: compiled equations of the scene.
+        states: vectors x (inputs,) of the run, in the order of time.
+    """
+    finite = (x for x in reversed(states) if np.all(np.isfinite(x[: code.size])))
+    if not code.scene.switched_forces or (x := next(finite, None)) is None:
+        return ""
+    system = code.float_system(x)
+    q, v = x[: system.nq], x[system.nq : code.size]
+    return jam(system.scene, partial(system.loaded_friction, q, v), [q, v])
 
 
 def _instability(code: CompiledEquations, options: Options, states: Sequence[Array]) -> str:

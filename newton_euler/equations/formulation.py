@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -464,13 +464,18 @@ class Formulation(System):
     def surroundings(self, q: Array, v: Array) -> Surroundings:
         """Compute the quantities that forces depend on: frames, joint coordinates, time."""
         frames, measured, model = self.frames(q, v), self.measured(q, v), partial(self.model_forces, q, v)
-        friction = partial(self.loaded_friction, q, v)
+        friction = cache(partial(self.loaded_friction, q, v))  # several elements need the frictions
         return Surroundings(
             self.mechanism, self.poses, frames, measured, self.time, model, friction, self.branches
         )
 
-    def loaded_friction(self, q: Array, v: Array) -> HeldFriction:
-        """Compute the frictions that grow with reactions, N or N m, by identity of the element."""
+    def loaded_friction(self, q: Array, v: Array, factor: float = 1.0) -> HeldFriction:
+        """Compute the frictions that grow with reactions, N or N m, by identity of the element.
+
+        Args:
+            q, v: (nq,) and (nv,), the state.
+            factor: of the load coefficients.
+        """
         if self.held_friction is not None:
             return self.held_friction
         at, elements = self.surroundings(q, v), loaded_frictions(self.scene)
@@ -486,7 +491,9 @@ class Formulation(System):
                 evaluation, _ = trial.sparse_evaluation(q, v, self.in_use)
             return [evaluation.reaction_force[joint] for joint in joints]
 
-        slopes = {each.identity: each.load_coefficient * each.saturated_speed(at) for each in elements}
+        slopes = {
+            each.identity: factor * each.load_coefficient * each.saturated_speed(at) for each in elements
+        }
         return solve_frictions(slopes, reactions)
 
     def switching(self, q: Array, v: Array) -> list[Scalar]:

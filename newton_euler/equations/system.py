@@ -9,6 +9,7 @@ are called Phi; Phi is zero if all loops are closed. The mechanism's size is a t
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
@@ -132,6 +133,14 @@ class System(Protocol):
 
     def acceleration(self, q: Array, v: Array) -> Array:
         """Compute dv/dt (nv,)."""
+
+    def loaded_friction(self, q: Array, v: Array, factor: float = 1.0) -> Mapping[str, Scalar]:
+        """Compute the frictions that grow with reactions, N or N m, by identity of the element.
+
+        Args:
+            q, v: (nq,) and (nv,), the state.
+            factor: of the load coefficients.
+        """
 
     def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Compute the mass matrix M and the force f of M dv/dt = f + constraint forces.

@@ -43,7 +43,7 @@ def switched_load(element: SwitchedElement, x: Sequence[float], rates: Sequence[
     """
     if isinstance(element, JointFriction):
         (rate,) = rates
-        # friction that grows with the reaction of the joint is added by `SwitchedLoads.evaluate`
+        # friction that grows with the reaction of the joint is added by `SwitchedLoads.forces`
         curve = element.coulomb + element.stribeck / (1.0 + (rate / element.stribeck_speed) ** 2)
         saturated = min(max(rate / element.transition_speed, -1.0), 1.0)
         return SwitchedLoad([-curve * saturated], [0.0], 0.0)
@@ -85,6 +85,7 @@ class SwitchedLoads:
 
     Attributes:
         keys: joint coordinates on which the elements act, with repetitions.
+        loaded: indices in `keys` of the frictions that grow with reactions, in the order of the scene.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -93,32 +94,38 @@ class SwitchedLoads:
         for element in scene.switched_forces:
             self._elements.append((element, slice(first, first + len(element.keys))))
             first += len(element.keys)
-        self._loaded = [
-            place for each, place in self._elements if isinstance(each, JointFriction) and each.is_loaded
+        self.loaded = [
+            place.start
+            for each, place in self._elements
+            if isinstance(each, JointFriction) and each.is_loaded
         ]
 
-    def evaluate(
-        self, x: Array, rates: Array, friction: Callable[[Sequence[float]], Mapping[str, float]]
-    ) -> tuple[Array, Array, float]:
-        """Compute all loads.
+    def forces(
+        self, x: Array, rates: Array, friction: Callable[[], Mapping[str, float]]
+    ) -> tuple[Array, Array]:
+        """Compute the forces of all elements.
 
         Args:
             x, rates: coordinates of `keys`, m or rad from the initial pose, and their rates.
-            friction: computes, by identity of the element, the frictions that grow with reactions, from the
-                rates of their joint coordinates. It is not called without such elements.
+            friction: computes, by identity of the element, the frictions that grow with reactions. It is not
+                called without such elements.
 
         Returns:
-            The forces (k,) on the coordinates, N or N m; the parts (k,) that have a potential energy; this
-            energy, J.
+            The forces (k,) on the coordinates, N or N m; the parts (k,) that have a potential energy.
         """
-        forces, elastic, energy = list[float](), list[float](), 0.0
+        forces, elastic = list[float](), list[float]()
         coordinates, speeds = x.tolist(), rates.tolist()
-        loaded = friction([speeds[place.start] for place in self._loaded]) if self._loaded else {}
+        loaded = friction() if self.loaded else {}
         for element, place in self._elements:
             load = switched_load(element, coordinates[place], speeds[place])
             forces += load.forces
             if element.identity in loaded:
                 forces[-1] += loaded[element.identity]
             elastic += load.elastic
-            energy += load.energy
-        return np.array(forces, dtype=float), np.array(elastic, dtype=float), energy
+        return np.array(forces, dtype=float), np.array(elastic, dtype=float)
+
+    def energy(self, x: Array) -> float:
+        """Compute the potential energy of all elements, J, at coordinates x of `keys`."""
+        coordinates, at_rest = x.tolist(), [0.0] * len(x)
+        loads = (switched_load(each, coordinates[place], at_rest[place]) for each, place in self._elements)
+        return sum((load.energy for load in loads), start=0.0)

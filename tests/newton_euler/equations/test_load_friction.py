@@ -8,7 +8,9 @@ from simulations import SIMULATIONS
 
 import newton_euler
 from newton_euler import PD, Body, Digital, JointFriction, Mechanism, Prismatic, Revolute, Scene, State
+from newton_euler.compiled.formulations import formulate
 from newton_euler.errors import MechanismError
+from newton_euler.model.trajectory import StoppedError
 
 MASS, GRAVITY, TRANSITION = 2.0, 9.81, 1e-6
 
@@ -99,3 +101,68 @@ def test_loads_of_a_sampled_controller_count(engine):
     assert np.abs(wanted.position[-1, 1, 0]) > 1e-3
     # derivatives of friction jump within MuJoCo's steps of 1 ms; forces of another period change 1e-3
     assert np.abs(found.position - wanted.position).max() < 2e-5
+
+
+def leaning_rod(coefficient: float) -> Scene:
+    """A rod on a light cart that slides backwards: 1 kg, 1 m long, with the tangent 2 of its angle."""
+    angle, half, mass, cart_mass = np.arctan(2.0), 0.5, 1.0, 1e-3
+    center = half * np.array([np.cos(angle), 0.0, np.sin(angle)])
+    cart = Body("cart", cart_mass, np.zeros(3), 1e-3 * np.eye(3))
+    rod = Body("rod", mass, center, mass * half**2 / 3.0 * np.eye(3))
+    joints = [
+        Prismatic("rail", "ground", "cart", np.zeros(3), axis=[1.0, 0.0, 0.0]),
+        Revolute("pin", "cart", "rod", np.zeros(3), axis=[0.0, 1.0, 0.0]),
+    ]
+    mechanism = Mechanism([Body.ground(), cart, rod], joints)
+    velocity = np.array([np.zeros(3), [-1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
+    state = replace(State.initial(mechanism), linear_velocity=velocity)
+    friction = JointFriction("rail", 0.0, transition_speed=1e-3, load_coefficient=coefficient)
+    gravity = [0.0, 0.0, -GRAVITY]
+    return Scene("rod", mechanism, 0.01, 0.01, gravity, initial_state=state, forces=(friction,))
+
+
+def sliding_rod(coefficient: float) -> np.ndarray:
+    """Acceleration of the cart and of the angle, and normal force, of `leaning_rod`, if it slides."""
+    sine, cosine, half, mass, total = np.sin(np.arctan(2.0)), np.cos(np.arctan(2.0)), 0.5, 1.0, 1.001
+    equations = [
+        [total, -mass * half * sine, -coefficient],
+        [-mass * half * sine, 4.0 / 3.0 * mass * half**2, 0.0],
+        [0.0, -mass * half * cosine, 1.0],
+    ]
+    return np.linalg.solve(equations, [0.0, -mass * GRAVITY * half * cosine, total * GRAVITY])
+
+
+def test_a_rod_slides_below_the_coefficient_at_which_it_jams():
+    """Painleve's rod jams above 4/3, with the tangent 2; a light cart changes this little."""
+    scene = leaning_rod(1.3)
+    system = formulate(scene, "relative")
+    acceleration = system.acceleration(*system.coordinates(scene.initial_state))
+    wanted = sliding_rod(1.3)
+    assert wanted[2] > 0.0
+    assert acceleration[0] == pytest.approx(wanted[0], rel=1e-9)
+    assert abs(acceleration[1]) == pytest.approx(abs(wanted[1]), rel=1e-9)
+
+
+RUNS_OF_RODS = SIMULATIONS | {
+    "Radau": lambda scene: newton_euler.simulate(scene, integrator="Radau"),
+    "RK4": lambda scene: newton_euler.simulate(scene, integrator="RK4", step=1e-3),
+}
+
+
+@pytest.mark.parametrize("engine", ["relative", "cartesian", "Radau", "RK4", "mujoco", "pinocchio"])
+def test_a_friction_that_jams_ends_a_run_at_once(engine):
+    """A normal force of a sliding rod would be negative."""
+    assert sliding_rod(1.37)[2] < 0.0
+    with pytest.raises(StoppedError, match=r"'rail' \(load_coefficient 1.37\) jams") as caught:
+        RUNS_OF_RODS[engine](leaning_rod(1.37))
+    assert caught.value.time == 0.0
+
+
+def test_a_run_whose_friction_jams_leaves_the_others_of_a_batch():
+    values = [1.0, 1.37, 1.2, 1.3]
+    batch = newton_euler.simulate_batch(
+        leaning_rod(1.0), parameters={"rail.friction.load_coefficient": values}
+    )
+    assert set(batch.errors) == {1}
+    assert "jams" in str(batch.errors[1])
+    assert np.all(np.isfinite([batch[k].position for k in (0, 2, 3)]))
