@@ -59,10 +59,11 @@ def list_command(scene: str | None, settings: tuple[str, ...]) -> int:
     from crosscheck.library import SCENES
     from crosscheck.library.model_files import MJCF_OPTIONS, URDF_OPTIONS
     from crosscheck.library.options import options_of
+    from crosscheck.library.tracker_sun import sun_tracker
     from newton_euler.errors import MissingPackageError
     from newton_euler.limits import LIMITS
 
-    for name, make in SCENES.items():
+    for name, make in (*SCENES.items(), ("tracker_sun", sun_tracker)):
         try:
             say(f"{name}: {make().description}")
         except MissingPackageError as error:

@@ -127,7 +127,7 @@ def sun_command(
     for name, value in (("--stow", stow), ("--wind-from", wind_from), ("--wind-up", wind_up)):
         if value is not None and wind is None:
             raise CrosscheckError(f"{name} has no effect without --wind SPEED|CSV; give both or none")
-    options = tracker_settings(scene, settings, why="controllers follow the sun")
+    options = tracker_settings(settings, why="controllers follow the sun")
     longitude, altitude = numbers.pop("longitude"), numbers.pop("altitude")
     tracking = Tracking(
         stow=float("inf") if stow is None else stow,  # without --stow, no wind is too fast

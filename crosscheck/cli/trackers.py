@@ -68,21 +68,17 @@ def tracker_options(command: Callable[..., int]) -> Callable[..., int]:
     return command
 
 
-def tracker_settings(scene: str | None, settings: tuple[str, ...], why: str) -> dict[str, str]:
+def tracker_settings(settings: tuple[str, ...], why: str) -> dict[str, str]:
     """Return the options of the scene by name, from the values of `--set`.
 
     Args:
-        scene: the argument SCENE, or None for the tracker of the library.
         settings: values of `--set`.
         why: reason why the scene must not have an excitation, for the message.
 
     Raises:
-        CrosscheckError: for an excitation, and for settings without a scene.
+        CrosscheckError: for an excitation.
     """
-    options = refuse_excitation(scene_options(settings), why)
-    if scene is None and options:
-        raise CrosscheckError(f"--set {next(iter(options))} needs a SCENE")
-    return options
+    return refuse_excitation(scene_options(settings), why)
 
 
 def largest_tilt(scene: str | None, given: float | None) -> float:
@@ -104,9 +100,10 @@ def load_tracker(scene: str | None, options: dict[str, str], axis: str | None) -
         CrosscheckError: if the scene has no body of the default axis, and `--axis` is not given.
     """
     from crosscheck.design.workspace import axis_of
-    from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker
+    from crosscheck.library import load_sun_tracker
+    from crosscheck.library.tracker_sun import PANEL_NORMAL
 
-    loaded = sun_tracker() if scene is None else load_with_warnings(scene, options)
+    loaded = load_sun_tracker(options) if scene is None else load_with_warnings(scene, options)
     if axis is not None:
         return loaded, axis_of(axis)
     if PANEL_NORMAL.body not in loaded.mechanism.body_names:

@@ -105,7 +105,7 @@ def year_command(
     from newton_euler.optional_packages import optional_package
 
     # the rules of tracking
-    options = tracker_settings(scene, settings, why="poses are at rest")
+    options = tracker_settings(settings, why="poses are at rest")
     # the other options are rules of tracking
     tracking = Tracking(most_tilt=largest_tilt(scene, most_tilt), **numbers)
     orientation = None if base is None else base_of(base)

@@ -1,6 +1,6 @@
 """Plot of design loads: forces and torques of joints and actuators, one color and dash pattern per case.
 
-Runs are curves over time. Cases at rest are bars.
+Runs are curves over time. Cases at rest are bars. Loads that are round-off have no plot.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MAX_PLOTTED_JOINTS = 12
+MAX_PLOTTED_JOINTS = 20
 """Largest number of joints in the plot: the joints with the largest forces."""
 
 DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)))
@@ -55,24 +55,37 @@ class _Row(NamedTuple):
 
 
 @own_style()
-def load_figure(scene: Scene, runs: Mapping[str, Trajectory]) -> Figure:
+def load_figure(scene: Scene, runs: Mapping[str, Trajectory], negligible_force: float) -> Figure:
     """Plot the loads of all cases.
 
     Args:
         scene: scene of the first case, for the axes of joints and for the actuators.
         runs: runs of the cases, or their states at rest (one time).
+        negligible_force: force up to which forces are round-off, N; torques are round-off up to this force
+            at a lever of the mechanism's size.
     """
     from matplotlib.figure import Figure
 
     loads_of_cases = {
         case: joint_loads(scene, run) | actuator_loads(scene, run) for case, run in runs.items()
     }
-    rows = _rows(scene, loads_of_cases)
-    figure = Figure(figsize=(9.0, 1.2 + 1.3 * len(rows)), layout="constrained")
-    axes = figure.subplots(len(rows), 2, sharex=True, squeeze=False)
+    # curves of joints are magnitudes, those of actuators have signs
+    peaks = {
+        load: max(float(np.max(np.abs(loads[load]))) for loads in loads_of_cases.values())
+        for load in next(iter(loads_of_cases.values()))
+    }
+    limits = {"N": negligible_force, "N m": negligible_force * scene.mechanism.size}
+    rows = _rows({load: peak for load, peak in peaks.items() if peak > limits.get(load.unit, 0.0)})
+    figure = Figure(figsize=(9.0, 1.2 + 1.3 * max(1, len(rows))), layout="constrained")
+    if not rows:
+        figure.text(0.5, 0.5, "all loads are zero", horizontalalignment="center")
+        return figure
     at_rest = all(len(run.time) == 1 for run in runs.values())
-    for row, pair in zip(rows, axes, strict=True):
-        for ax, load in zip(pair, (row.force, row.torque), strict=True):
+    axes = figure.subplots(len(rows), 2, sharex=True, squeeze=False)
+    for column, title in enumerate(("force, N", "torque, N m")):
+        loads_of_column = [(row.force, row.torque)[column] for row in rows]
+        drawn = [ax for ax, load in zip(axes[:, column], loads_of_column, strict=True) if load]
+        for ax, load in zip(axes[:, column], loads_of_column, strict=True):
             if load is None:
                 ax.set_axis_off()
                 continue
@@ -82,32 +95,42 @@ def load_figure(scene: Scene, runs: Mapping[str, Trajectory]) -> Figure:
             else:
                 _draw_curves(ax, {case: run.time for case, run in runs.items()}, values)
             ax.grid(alpha=0.3)
+        if not drawn:
+            continue
+        drawn[0].set_title(title, fontsize="medium")
+        drawn[-1].tick_params(labelbottom=True)  # which shared axes hide in all rows but the last one
+        if not at_rest:
+            drawn[-1].set_xlabel("time, s")
+    for row, pair in zip(rows, axes, strict=True):
         label = pair[0] if row.force else pair[1]
         label.set_ylabel(row.label, fontsize="small")
-    for ax, title in zip(axes[0], ("force, N", "torque, N m"), strict=True):
-        ax.set_title(title, fontsize="medium")
-    if not at_rest:
-        for ax in axes[-1]:
-            ax.set_xlabel("time, s")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
+    handles, labels = axes[0, 0 if rows[0].force else 1].get_legend_handles_labels()
     columns = min(LEGEND_COLUMNS, len(labels))
     figure.legend(handles, labels, loc="outside upper center", ncols=columns, handlelength=4.0)
     return figure
 
 
-def _rows(scene: Scene, loads_of_cases: Mapping[str, Mapping[Load, Array]]) -> list[_Row]:
-    """Choose the joints with the largest forces, in the order of the mechanism, and all actuators."""
-    largest_forces = {
-        joint: max(float(loads[Load(joint, "force", "N")].max()) for loads in loads_of_cases.values())
-        for joint in scene.mechanism.joint_names
-    }
-    chosen = sorted(largest_forces, key=lambda joint: -largest_forces[joint])[:MAX_PLOTTED_JOINTS]
+def _rows(peaks: Mapping[Load, float]) -> list[_Row]:
+    """Choose the joints with the largest forces, in the order of the mechanism, and all actuators.
+
+    Args:
+        peaks: largest magnitudes over all cases of the loads that are not round-off.
+    """
+    forces = {load.element: peak for load, peak in peaks.items() if load.quantity == "force"}
+    torques = {load.element: peak for load, peak in peaks.items() if load.quantity == "torque"}
+    # joints without a force, such as those of a motor that turns a wheel, come after all others
+    joints = list(dict.fromkeys((*forces, *torques)))
+    chosen = sorted(joints, key=lambda joint: (-forces.get(joint, 0.0), -torques.get(joint, 0.0)))
     rows = [
-        _Row(joint, Load(joint, "force", "N"), Load(joint, "torque", "N m"))
-        for joint in largest_forces
-        if joint in chosen
+        _Row(
+            joint,
+            Load(joint, "force", "N") if joint in forces else None,
+            Load(joint, "torque", "N m") if joint in torques else None,
+        )
+        for joint in joints
+        if joint in chosen[:MAX_PLOTTED_JOINTS]
     ]
-    for load in next(iter(loads_of_cases.values())):
+    for load in peaks:
         if load.quantity == "actuator force":
             label = f"{load.element}\nactuator"
             rows.append(_Row(label, load, None) if load.unit == "N" else _Row(label, None, load))

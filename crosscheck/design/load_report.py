@@ -49,6 +49,9 @@ GOVERNS = "*"
 GOVERNED_BY = Column("governed by", below=True)
 """Column of tables with the load case and time of the largest load; below the others on narrow screens."""
 
+MAX_COORDINATES = 4
+"""Largest number of joint coordinates in the sentence about the initial pose."""
+
 LOAD_COMPONENTS = {"force": ("axial force", "shear force"), "torque": ("axial torque", "bending torque")}
 """Components of forces and torques along and across the axis, for joints with one axis, by quantity."""
 
@@ -57,14 +60,16 @@ class CaseNotes(NamedTuple):
     """Facts about load cases that the report mentions, by the name of the case.
 
     Attributes:
-        options: options of each case as the user set them.
+        options: values of all options of each case that have an effect, given or by default.
+        starts: coordinates of the initial pose that control laws act on, m or rad, with their units.
         motionless: names of cases in which nothing moves.
         held_winds: winds that vary in time and have a constant speed at rest.
         winds: flow on the plates of wind loads.
         acting: elements of the model file that would have acted and are not simulated.
     """
 
-    options: Mapping[str, Mapping[str, str]]
+    options: Mapping[str, Mapping[str, str | float]]
+    starts: Mapping[str, Mapping[str, tuple[float, str]]]
     motionless: Sequence[str]
     held_winds: Mapping[str, Sequence[HeldWind]]
     winds: Mapping[str, Sequence[WindRange]]
@@ -92,7 +97,7 @@ def load_report(
     cases = f"cases {', '.join(envelope.cases)}" if named else "initial pose" if at_rest else "its run"
     title = f"{scene.name}: loads {'at rest,' if at_rest else 'over'} {cases}"
     largest = max(_loads_of(envelope, "force"), key=lambda each: each.peak)
-    negligible = _negligible_force(scene, envelope)
+    negligible = negligible_force(scene, envelope)
     verdict = f"largest force {largest.peak:.3g} N at joint {largest.element!r}, {_when(largest, at_rest)}"
     if largest.peak <= negligible:
         verdict = "no joint carries a force"
@@ -131,10 +136,15 @@ def _case_lines(notes: CaseNotes, named: bool, at_rest: bool) -> list[Lines]:
         return f"case {name}: " if named else ""
 
     lines = []
-    if named:
-        for name, options in notes.options.items():
-            settings = ", ".join(f"{option}={value}" for option, value in options.items())
-            lines.append(f"case {name}: {settings}")
+    for name, options in notes.options.items():
+        texts = {key: f"{value:g}" if isinstance(value, float) else value for key, value in options.items()}
+        if texts:
+            settings = ", ".join(f"{option}={text}" for option, text in texts.items())
+            lines.append(f"{where(name)}{settings}")
+        if start := notes.starts[name]:
+            shown = [f"{label} {x + 0.0:.4g} {unit}" for label, (x, unit) in start.items()][:MAX_COORDINATES]
+            more = ", ..." if len(start) > MAX_COORDINATES else ""
+            lines.append(f"{where(name)}{'held' if at_rest else 'starts'} at {', '.join(shown)}{more}")
     if at_rest:
         lines.append(AT_REST)
     for name, winds in notes.held_winds.items():
@@ -164,7 +174,7 @@ def _when(load: LoadRange, at_rest: bool) -> str:
     return case if at_rest else f"{case} at {time:.4g} s"
 
 
-def _negligible_force(scene: Scene, envelope: LoadEnvelope) -> float:
+def negligible_force(scene: Scene, envelope: LoadEnvelope) -> float:
     """Compute the force, N, below which a force is round-off."""
     size = scene.mechanism.size
     weight = STANDARD_GRAVITY * sum(body.mass for body in scene.mechanism.bodies[1:])

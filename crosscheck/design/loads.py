@@ -17,18 +17,21 @@ from typing import NamedTuple
 from crosscheck.compare.activity import watched
 from crosscheck.compare.runs import nothing_moves
 from crosscheck.design.load_plots import load_figure
-from crosscheck.design.load_report import CaseNotes, load_report
+from crosscheck.design.load_report import CaseNotes, load_report, negligible_force
 from crosscheck.design.wind_validity import wind_ranges
+from crosscheck.library import option_values
 from crosscheck.report.plots import png
 from crosscheck.report.render import as_json, markdown
 from crosscheck.report.table import Report
 from crosscheck.support.files import check_writable, write_files
 from crosscheck.support.time_limits import limited
+from newton_euler.analysis.linear.linear_model import label
 from newton_euler.analysis.loads.envelope import LoadEnvelope, LoadRange, load_envelope
-from newton_euler.analysis.loads.rest import rest_case, wind_at_peak
+from newton_euler.analysis.loads.rest import HeldWind, rest_case, wind_at_peak
 from newton_euler.model.scene import OUTPUTS, Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.import_report import ImportedElement, ImportReport
+from newton_euler.runs.assemble import initial_state, measured_coordinate
 from newton_euler.runs.simulate import simulate
 
 
@@ -88,10 +91,15 @@ def loads(
     check_writable(table, case_table, results, plot, recording)
     # Runs, and elements of the model file, such as contacts, that would have acted in them
     runs, acting = dict[str, Trajectory](), dict[str, list[ImportedElement]]()
+    at_peak = dict[str, tuple[Scene, list[HeldWind]]]()  # of rest: constant winds, and what they stand for
     for name, (_, scene, import_report) in cases.items():
         with limited(f"case {name}", "a shorter duration, or fewer cases", progress):
             complete = replace(scene, outputs=frozenset(OUTPUTS))  # with all kinds of outputs
-            runs[name] = rest_case(scene) if at_rest else simulate(complete)
+            if at_rest:
+                at_peak[name] = wind_at_peak(scene)
+                runs[name] = rest_case(at_peak[name][0])
+            else:
+                runs[name] = simulate(complete)
             if import_report and (found := watched(scene, import_report, runs[name]).acting):
                 acting[name] = found
     # The envelope takes axes of joints from the mechanism, which is the same in all cases
@@ -100,22 +108,31 @@ def loads(
     envelopes = {name: load_envelope(first_scene, {name: run}) for name, run in runs.items()}
     # Notes and the report
     notes = CaseNotes(
-        options={name: case.options for name, case in cases.items()},
+        options={name: option_values(source, case.options) for name, case in cases.items()},
+        starts={name: _start(case.scene) for name, case in cases.items()},
         motionless=[] if at_rest else [n for n, run in runs.items() if nothing_moves({n: run}, first_scene)],
-        held_winds={name: wind_at_peak(case.scene)[1] for name, case in cases.items()} if at_rest else {},
-        winds={name: wind_ranges(_at(case.scene, at_rest), runs[name]) for name, case in cases.items()},
+        held_winds={name: held for name, (_, held) in at_peak.items()},
+        winds={
+            name: wind_ranges(at_peak[name][0] if at_rest else case.scene, runs[name])
+            for name, case in cases.items()
+        },
         acting=acting,
     )
     report = load_report(first_scene, envelope, envelopes, at_rest, notes)
     progress("plot and recording")
     recorded_runs = recorded(log_run, first_scene, runs, markdown(report), report.title)
-    shown = {plot: png(load_figure(first_scene, runs)), recording: recorded_runs}
+    shown = {
+        plot: png(load_figure(first_scene, runs, negligible_force(first_scene, envelope))),
+        recording: recorded_runs,
+    }
     data = {
         "scene": first_scene.name,
         "source": source,
         "at_rest": at_rest,
         "cases": list(cases),
         "options": {name: dict(case.options) for name, case in cases.items()},
+        "option_values": notes.options,
+        "starts": {name: {at: x for at, (x, _) in each.items()} for name, each in notes.starts.items()},
         "envelope": [asdict(each) for each in _ranges(envelope)],
         "loads_of_cases": {name: [_of_case(each) for each in _ranges(envelopes[name])] for name in cases},
         "winds": {name: [each._asdict() for each in found] for name, found in notes.winds.items()},
@@ -131,9 +148,16 @@ def loads(
     return Loads(report, [table, case_table, results, plot, recording], acting)
 
 
-def _at(scene: Scene, at_rest: bool) -> Scene:
-    """Return the scene with the winds of its run, or with the constant winds of rest."""
-    return wind_at_peak(scene)[0] if at_rest else scene
+def _start(scene: Scene) -> dict[str, tuple[float, str]]:
+    """Return the coordinates of the initial pose that control laws act on, m or rad, with their units."""
+    mechanism, state = scene.mechanism, initial_state(scene)
+    return {
+        label(mechanism.coordinate_name(law.key)): (
+            measured_coordinate(scene, state, law.key)[0],
+            "m" if mechanism.is_slide(*law.key) else "rad",
+        )
+        for law in scene.control
+    }
 
 
 def _ranges(envelope: LoadEnvelope) -> tuple[LoadRange, ...]:

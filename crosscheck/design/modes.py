@@ -1,8 +1,9 @@
 """Modal analysis: choose the pose, linearize, and write pose, stability, eigenvalues and vibration modes.
 
 A mode is an eigenvector of the equations of motion, linearized about a state, usually an equilibrium. A mode
-with eigenvalue s = a + i w moves like exp(a t) cos(w t). Its frequency is w / (2 pi), its damping ratio
--a / |s|, or 0 if s is 0. `crosscheck.recording.modes` animates the modes.
+with eigenvalue s = a + i w moves like exp(a t) cos(w t). Its damped frequency is w / (2 pi), its undamped
+natural frequency |s| / (2 pi), its damping ratio -a / |s|, or 0 if s is 0. `crosscheck.recording.modes`
+animates the modes.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from crosscheck.design.coordinates import coordinate_of
 from crosscheck.report.render import as_json, markdown_table
 from crosscheck.report.table import (
     Cell,
@@ -52,6 +54,7 @@ DAMPING_ROUND_OFF = 1e-9
 MODE_COLUMNS = [
     Column("mode", numeric=True),
     Column("frequency", "Hz", numeric=True),
+    Column("undamped", "Hz", numeric=True),
     Column("damping ratio", numeric=True),
     Column("time constant", "s", numeric=True),
     Column("moves most"),
@@ -97,9 +100,7 @@ def pose_of(scene: Scene, given: Sequence[str]) -> dict[str | Key, float]:
     found: dict[str | Key, float] = {}
     for text in given:
         name, _, value = text.partition("=")
-        joint, _, number = name.rpartition(".")
-        is_key = name not in scene.mechanism.joint_names and number.isdecimal()
-        coordinate = (joint, int(number)) if is_key else name
+        coordinate = coordinate_of(scene.mechanism, name)
         try:
             x = plain_number(value)
         except ValueError:
@@ -236,6 +237,7 @@ def data(found: ModalAnalysis) -> dict[str, object]:
         "modes": [
             {
                 "frequency": float(modes.frequencies[k]),
+                "undamped_frequency": float(undamped_frequencies(modes)[k]),
                 "damping_ratio": float(modes.damping_ratios[k]),
                 "eigenvalue": [float(value.real), float(value.imag)],
                 "shape": {name: [float(x[k].real), float(x[k].imag)] for name, x in shapes.items()},
@@ -255,6 +257,7 @@ def to_csv(found: ModalAnalysis) -> str:
     columns = [
         "mode",
         "frequency, Hz",
+        "undamped frequency, Hz",
         "damping ratio",
         "eigenvalue real, 1/s",
         "eigenvalue imaginary, rad/s",
@@ -263,11 +266,17 @@ def to_csv(found: ModalAnalysis) -> str:
         columns += [f"{name} amplitude, {units.get(name, 'rad')}", f"{name} phase, rad"]
     writer.writerow(columns)
     for k, value in enumerate(modes.eigenvalues):
-        numbers = [modes.frequencies[k], modes.damping_ratios[k], value.real, value.imag]
+        frequencies = modes.frequencies[k], undamped_frequencies(modes)[k]
+        numbers = [*frequencies, modes.damping_ratios[k], value.real, value.imag]
         for x in shapes.values():
             numbers += [np.abs(x[k]), np.angle(x[k])]
         writer.writerow([k + 1, *(f"{number + 0.0:.9g}" for number in numbers)])
     return text.getvalue()
+
+
+def undamped_frequencies(modes: Modes) -> Array:
+    """Return the undamped natural frequencies (m,) of the modes, Hz; 0 for modes that do not oscillate."""
+    return np.where(modes.frequencies > 0.0, np.abs(modes.eigenvalues) / (2.0 * np.pi), 0.0)
 
 
 def _units(mechanism: Mechanism) -> dict[str | Key, str]:
@@ -372,11 +381,12 @@ def _eigenvalues(modes: Modes) -> Table:
 
 
 def table(mechanism: Mechanism, modes: Modes) -> Table:
-    """Tabulate modes in the order of `Modes`, the slowest first: frequency, damping ratio, time constant and
-    largest movement."""
+    """Tabulate modes in the order of `Modes`, the slowest first: frequencies, damping ratio, time constant
+    and largest movement."""
     rows: Rows = []
-    columns = zip(modes.frequencies, modes.damping_ratios, modes.eigenvalues.real, modes.twists, strict=True)
-    for number, (frequency, damping, rate, displacement) in enumerate(columns, start=1):
+    frequencies = modes.frequencies, undamped_frequencies(modes)
+    columns = zip(*frequencies, modes.damping_ratios, modes.eigenvalues.real, modes.twists, strict=True)
+    for number, (frequency, undamped, damping, rate, displacement) in enumerate(columns, start=1):
         # the time constant is 1 / |rate|: the rate is that of growth or decay, 1/s
         oscillates, is_damped = frequency > 0.0, abs(damping) > DAMPING_ROUND_OFF
         frequency_text = f"{frequency:.6g}"
@@ -386,6 +396,7 @@ def table(mechanism: Mechanism, modes: Modes) -> Table:
             [
                 str(number),
                 frequency_text,
+                f"{undamped:.6g}" if oscillates else "-",
                 f"{damping:.3g}" if is_damped else "0",
                 f"{abs(1.0 / rate):.4g}{', grows' if rate > 0.0 else ''}" if is_damped else "-",
                 largest_movement(mechanism, displacement),

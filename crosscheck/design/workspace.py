@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from crosscheck.design.coordinates import coordinate_of
 from crosscheck.design.workspace_map import MAX_POINTS, WORLD_AXES, WorkspaceMap, measure
 from crosscheck.design.workspace_plots import picture
 from crosscheck.report.render import as_json
@@ -61,9 +62,7 @@ def range_of(scene: Scene, text: str) -> tuple[str | Key, Array]:
         low, high, count = 0.0, 0.0, 0  # an empty range, which is refused below
     if len(parts) not in (2, 3) or not low < high or not is_count(count) or not 2 <= count <= MAX_POINTS:
         raise CrosscheckError(f"--vary {text!r} is not of the form JOINT=LOW:HIGH[:POINTS], in m or rad")
-    joint, _, number = name.rpartition(".")
-    is_key = name not in scene.mechanism.joint_names and number.isdecimal()
-    return (joint, int(number)) if is_key else name, np.linspace(low, high, count)
+    return coordinate_of(scene.mechanism, name), np.linspace(low, high, count)
 
 
 def axis_of(text: str) -> Axis:

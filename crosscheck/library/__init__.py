@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from crosscheck.library import (
     andrews,
@@ -29,7 +30,7 @@ from crosscheck.library import (
 )
 from crosscheck.library.measure import Quantities
 from crosscheck.library.model_files import CONVERSION_ADVICE, is_model_file, read_model
-from crosscheck.library.options import options_of
+from crosscheck.library.options import OnlyWith, Option, options_of
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.arguments import checked
 from newton_euler.errors import choices, listed, quoted
@@ -110,7 +111,7 @@ def load(name: str, /, **options: str | float) -> Scene:
 
 
 def option_values(name: str, given: Mapping[str, str | float]) -> dict[str, str | float]:
-    """Return the values of all options of a model, to compare two sets of options.
+    """Return the values of all options of a model that have an effect, given or by default.
 
     Args:
         name: name of a library scene, or path of a file, whose options without a given value are left out.
@@ -121,23 +122,53 @@ def option_values(name: str, given: Mapping[str, str | float]) -> dict[str, str 
     """
     if name not in SCENES:
         return dict(given)
-    defaults = {option: each.default for option, each in options_of(SCENES[name]).items()}
-    return defaults | _read_options(name, dict(given))
+    known = options_of(SCENES[name])
+    defaults = {option: each.default for option, each in known.items()}
+    values = defaults | _read_options(name, dict(given))
+    return {
+        option: value
+        for option, value in values.items()
+        if (condition := known[option].only_with) is None or _is_met(condition, values, known)
+    }
 
 
-def _read_options(name: str, given: dict[str, str | float]) -> dict[str, str | float]:
+def _is_met(condition: OnlyWith, values: Mapping[str, str | float], known: Mapping[str, Option]) -> bool:
+    """Return True if the condition of an option holds for the values of all options."""
+    other = values[condition.option]
+    if condition.value is None:
+        return other != known[condition.option].default
+    return other == condition.value
+
+
+def load_sun_tracker(options: Mapping[str, str | float]) -> Scene:
+    """Return the tracker of `crosscheck sun` and `year`, which is no scene of the library: it stands still.
+
+    Args:
+        options: options of `crosscheck.library.tracker_sun.sun_tracker`. Numbers may be given as texts.
+
+    Raises:
+        CrosscheckError: for an unknown option, and for a value that is not allowed.
+    """
+    make: Callable[..., Scene] = tracker_sun.sun_tracker
+    return make(**_read_options("tracker_sun", dict(options), make))
+
+
+def _read_options(
+    name: str, given: dict[str, str | float], make: Callable[..., Scene] | None = None
+) -> dict[str, str | float]:
     """Convert options of a library scene to the types of its arguments.
 
     Args:
         name: name of the scene.
         given: options as the user set them.
+        make: function that makes the scene; None for that of the name.
 
     Raises:
         CrosscheckError: for an unknown option, a value that is not allowed, and an option that has no effect
             because of the value of another option.
     """
-    known = options_of(SCENES[name])
-    options = {}
+    known = options_of(make or SCENES[name])
+    options: dict[str, Any] = {}
     for option, value in given.items():
         if option not in known:
             valid = choices(option, known) if known else "it takes none"
@@ -151,10 +182,8 @@ def _read_options(name: str, given: dict[str, str | float]) -> dict[str, str | f
     # conditions on the value of another option; None stands for any value but the default
     for option in options:
         if condition := known[option].only_with:
-            default = known[condition.option].default
-            other = options.get(condition.option, default)
-            is_met = other != default if condition.value is None else other == condition.value
-            if not is_met:
+            other = options.get(condition.option, known[condition.option].default)
+            if not _is_met(condition, {condition.option: other}, known):
                 where = f"{option} of scene {name!r} has no effect with {condition.option}={other}"
                 raise CrosscheckError(f"{where}; needed: {condition}")
     return options

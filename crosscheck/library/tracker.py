@@ -258,7 +258,9 @@ def _scene(
             tables.scaled_inertia[k],
             tables.euler_parameters[k],
             shapes=shapes,
-            meshes=(_cells(tables),) if body == "panel_7" else (),
+            meshes=(solar_cells(tables.center_of_mass[k], tables.euler_parameters[k], PANEL),)
+            if body == "panel_7"
+            else (),
             allow_unrealisable_inertia=body == "panel_7" and literal_panel,
         )
         for k, (body, shapes) in enumerate(zip(BODY_NAMES, _shapes(tables, joints), strict=True))
@@ -343,16 +345,24 @@ def _shapes(tables: Tables, joints: list[Joint]) -> list[tuple[Shape, ...]]:
     ]
 
 
-def _cells(tables: Tables) -> Mesh:
-    """Return the solar cells, six by four, as a dark mesh slightly above the panel."""
+def solar_cells(center: Array, quaternion: Array, half_sizes: tuple[float, float]) -> Mesh:
+    """Return the solar cells, six by four, as a dark mesh slightly above the panel.
+
+    Args:
+        center, quaternion: (3,) m and (4,), center of mass and orientation of the panel.
+        half_sizes: half the lengths of the panel's sides, m.
+    """
     # Centers (24, 3) of the cells, and corners (4, 3) of a cell from its center, panel frame, m
     cells = (6, 4)
-    x, y = ((2.0 * np.arange(n) + 1.0 - n) / n * half for n, half in zip(cells, PANEL, strict=True))
+    x, y = ((2.0 * np.arange(n) + 1.0 - n) / n * half for n, half in zip(cells, half_sizes, strict=True))
     centers = np.array([[a, b, 0.0025] for a in x for b in y])
-    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*np.divide(PANEL, cells), 0.0]
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [
+        *np.divide(half_sizes, cells),
+        0.0,
+    ]
     # Four vertices and two triangles per cell; a cell is drawn 10 % smaller, with a gap to the next one
-    vertices = (centers[:, None] + 0.9 * corners).reshape(-1, 3) @ rotation(tables.euler_parameters[6]).T
+    vertices = (centers[:, None] + 0.9 * corners).reshape(-1, 3) @ rotation(quaternion).T
     first_vertex = 4 * np.arange(len(centers))[:, None]
     triangles = np.concatenate([first_vertex + triangle for triangle in ([0, 1, 2], [0, 2, 3])])
     dark_blue = (0.03, 0.05, 0.12, 1.0)
-    return Mesh(tables.center_of_mass[6] + vertices, triangles, dark_blue)
+    return Mesh(center + vertices, triangles, dark_blue)

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from crosscheck.library.tracker import tracker_gravity
+from crosscheck.library.tracker_panel import HEIGHT, MASS, WIDTH, Mass, Side, with_panel
 from crosscheck.library.tracker_wind import WIND_POSITION_GAIN, WIND_VELOCITY_GAIN
 from newton_euler import PD, Axis, solve_poses
 from newton_euler.model.scene import Scene
@@ -34,15 +35,21 @@ SET_POINTS = 13
 """Number of set-points (targets) of the sliders in the run of 12 s, one per second."""
 
 
-def sun_tracker() -> Scene:
-    """Return the tracker under gravity with stiff PD control; `crosscheck.solar.day` adds set-points."""
-    scene = tracker_gravity()
+def sun_tracker(panel_width: Side = WIDTH, panel_height: Side = HEIGHT, panel_mass: Mass = MASS) -> Scene:
+    """Return the tracker under gravity with stiff PD control; `crosscheck.solar.day` adds set-points.
+
+    Args:
+        panel_width, panel_height: sides of the panel, m, along the first and the second axis of its frame.
+        panel_mass: mass of the panel, kg.
+    """
+    scene = with_panel(tracker_gravity(), panel_width, panel_height, panel_mass)
     control = tuple(
         replace(law, stiffness=WIND_POSITION_GAIN, damping=WIND_VELOCITY_GAIN)
         for law in scene.control
         if isinstance(law, PD)
     )
-    return replace(scene, name="tracker_sun", control=control)
+    description = "dual-axis solar tracker, stiff PD control, under gravity, of crosscheck sun and year"
+    return replace(scene, name="tracker_sun", description=description, control=control)
 
 
 def tracker_sun_day(

@@ -12,17 +12,24 @@ from typing import Annotated, Literal
 import numpy as np
 
 from crosscheck.library.options import Between, OnlyWith
-from crosscheck.library.tracker import PANEL, tracker_gravity
+from crosscheck.library.tracker import tracker_gravity
+from crosscheck.library.tracker_panel import HEIGHT, MASS, WIDTH, Mass, Side, with_panel
 from newton_euler.model.control import PD
 from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Sine
 from newton_euler.model.wind import WindLoad, vertical_turbulence, wind_gust, wind_turbulence
+from newton_euler.scalars import Array
 
 WIND_POSITION_GAIN, WIND_VELOCITY_GAIN = 5000.0, 100.0
 """Gains of the PD controllers, N/m and N s/m: 100 and 5 times those of the paper.
 
 With the gains of the paper the panel sags by decimeters under gravity."""
+
+HOLD_POSITION_GAIN, HOLD_VELOCITY_GAIN = 1e5, 500.0
+"""Gains of the PD controllers that hold a pose, N/m and N s/m: stiff as lead screws with motors at rest.
+
+With the gains of a motion, a gust turns a tilted panel over."""
 
 FEEDFORWARD = (7.056, 5.767)
 """Constant forces of the actuators, N, added to those of the PD controllers; they balance the weight at the
@@ -56,56 +63,68 @@ SINE_COUNT = 16
 UPWARD = [0.0, 0.0, 1.0]
 """Direction of the panel's normal in stow: the panel is flat."""
 
+WORST_TILTS, WORST_AZIMUTHS = 4, 24
+"""Number of tilts from flat to the largest one, and of azimuths, among which the worst pose is searched."""
+
 LOAD_CASES = {
-    "operating": {"pose": "tilted", "wind": "steady", "speed": "14", "direction": "345"},
-    "gust": {"pose": "tilted", "wind": "gust", "speed": "14", "direction": "345"},
-    "stow_up": {"pose": "stow", "wind": "steady", "speed": "40", "direction": "345", "vertical": "10"},
-    "stow_down": {"pose": "stow", "wind": "steady", "speed": "40", "direction": "345", "vertical": "-10"},
+    "operating": {"pose": "worst", "wind": "steady", "speed": "14", "wind_from": "0"},
+    "gust": {"pose": "worst", "wind": "gust", "speed": "14", "wind_from": "0"},
+    "stow_up": {"pose": "stow", "wind": "steady", "speed": "40", "wind_from": "285", "vertical": "10"},
+    "stow_down": {"pose": "stow", "wind": "steady", "speed": "40", "wind_from": "285", "vertical": "-10"},
 }
 """Default load cases of `crosscheck loads tracker_wind`: operating limit, gust, and survival in stow.
 
 The speeds are examples: 14 m/s at which the tracker would be stowed, and a gust of 40 m/s that it has to
 survive in stow, with a vertical gust in both directions. 10 m/s is three standard deviations of the vertical
-turbulence at 40 m/s for an intensity of 17 % along the wind. Of all directions in steps of 15 degrees, 345
-degrees has the largest force of an actuator in the tilted pose."""
+turbulence at 40 m/s for an intensity of 17 % along the wind. Of all directions in steps of 15 degrees, wind
+from the north has the largest force of an actuator over all poses, and wind from 285 degrees in stow."""
 
 
 def tracker_wind(
     wind: Literal["turbulent", "gust", "steady"] = "turbulent",
     speed: Annotated[float, Between(0.0, 60.0, "m/s")] = 10.0,
-    direction: Annotated[float, Between(0.0, 360.0, "deg")] = 30.0,
+    wind_from: Annotated[float, Between(0.0, 360.0, "deg")] = 240.0,
     seed: Annotated[int, range(1000), OnlyWith("wind", "turbulent")] = 1,
     vertical: Annotated[float, Between(-20.0, 20.0, "m/s"), OnlyWith("wind", "steady")] = 0.0,
-    pose: Literal["moving", "tilted", "stow"] = "moving",
+    pose: Literal["moving", "tilted", "stow", "worst"] = "moving",
+    most_tilt: Annotated[float, Between(0.0, 30.0, "deg"), OnlyWith("pose", "worst")] = 30.0,
+    panel_width: Side = WIDTH,
+    panel_height: Side = HEIGHT,
+    panel_mass: Mass = MASS,
 ) -> Scene:
     """Return the tracker under gravity and wind, its sliders moved or held by stiff PD laws, 5 s.
 
     Args:
         wind: turbulent along the wind and vertically, one gust of half the mean speed, or steady.
         speed: mean speed of the wind, m/s.
-        direction: direction to which the wind blows, degrees from the x axis about the vertical.
+        wind_from: direction that the wind comes from, degrees clockwise from north; x is east, y north.
         seed: random seed of the turbulence.
         vertical: upward component of a steady wind, m/s, such as the vertical gust that loads a flat panel.
-        pose: both sliders move up and down, hold the panel as tilted at the start, or hold it flat.
+        pose: both sliders move up and down; hold the panel as tilted in the paper's initial pose; hold it
+            flat; or hold it in the pose in which an actuator has the largest force in this wind at rest.
+        most_tilt: largest tilt of the panel from the horizontal among which the worst pose is searched,
+            degrees.
+        panel_width, panel_height: sides of the panel, m, along the first and the second axis of its frame.
+        panel_mass: mass of the panel, kg.
     """
-    scene = tracker_gravity()
+    scene = with_panel(tracker_gravity(), panel_width, panel_height, panel_mass)
     panel = scene.mechanism.body("panel_7")
-    # `PANEL`: half the lengths of the panel's sides, which are along the first two axes of its body frame
-    axes, angle = panel.pose.rotation, np.radians(direction)
+    axes, angle = panel.pose.rotation, np.radians(wind_from)
     load = WindLoad(
         "wind",
         panel.name,
         panel.center_of_mass,
-        first_side=2.0 * PANEL[0] * axes[:, 0],
-        second_side=2.0 * PANEL[1] * axes[:, 1],
-        direction=[np.cos(angle), np.sin(angle), 0.0],
+        first_side=panel_width * axes[:, 0],
+        second_side=panel_height * axes[:, 1],
+        direction=[-np.sin(angle), -np.cos(angle), 0.0],
         speed=_speed(wind, speed, seed),
         vertical_speed=_vertical_speed(speed, seed) if wind == "turbulent" else vertical,
     )
     description = "dual-axis solar tracker, stiff PD control along a motion, under gravity and wind"
     scene = replace(scene, name="tracker_wind", description=description)
     if pose != "moving":
-        return _held(replace(scene, forces=(load,)), flat=pose == "stow")
+        return _held(replace(scene, forces=(load,)), pose, most_tilt)
+    feedforward = FEEDFORWARD if panel_mass == MASS else _weight_forces(scene)
     control = tuple(
         PD(
             law.joint,
@@ -114,33 +133,53 @@ def tracker_wind(
             target=up_and_down(stroke, period),
             feedforward=force,
         )
-        for law, stroke, period, force in zip(scene.control, STROKES, PERIODS, FEEDFORWARD, strict=True)
+        for law, stroke, period, force in zip(scene.control, STROKES, PERIODS, feedforward, strict=True)
     )
     return replace(scene, control=control, forces=(load,))
 
 
-def _held(scene: Scene, flat: bool) -> Scene:
-    """Return the tracker at rest, held by PD laws in its initial pose or with a flat panel.
+def _weight_forces(scene: Scene) -> tuple[float, ...]:
+    """Return the forces of the actuators, N, that balance the weight at the start."""
+    from newton_euler import statics
+
+    return tuple(statics(scene).actuator_force.tolist())
+
+
+def _held(scene: Scene, pose: str, most_tilt: float) -> Scene:
+    """Return the tracker at rest, held by PD laws in a pose; `pose` and `most_tilt` as of `tracker_wind`.
 
     The laws feed forward the forces of equilibrium with the weight and the wind at time 0, so that the run
     starts without a transient.
     """
     # imported here, since other scenes need no kinematics
     from newton_euler import Axis, initial_state, solve_poses, statics
+    from newton_euler.analysis.loads.rest import wind_at_peak
 
     start, targets = initial_state(scene), [0.0] * len(scene.control)
-    if flat:
-        keys = [law.key for law in scene.control]
+    if pose != "tilted":
+        keys, row = [law.key for law in scene.control], 0
         normal = Axis("panel_7", np.array([0.0, 0.0, 1.0]))
-        poses = solve_poses(scene, axis=normal, towards=[UPWARD], measure=keys)
-        start, targets = poses.state(0), [float(poses.coordinates[key][0]) for key in keys]
+        towards = np.array([UPWARD]) if pose == "stow" else _directions(most_tilt)
+        poses = solve_poses(scene, axis=normal, towards=towards, measure=keys)
+        if pose == "worst":
+            windy, _ = wind_at_peak(scene)
+            row = int(np.argmax(np.abs(statics(windy, poses).actuator_force).max(axis=1)))
+        start, targets = poses.state(row), [float(poses.coordinates[key][row]) for key in keys]
     forces = statics(scene, start).actuator_force
     control = tuple(
-        PD(law.joint, WIND_POSITION_GAIN, WIND_VELOCITY_GAIN, target=target, feedforward=float(force))
+        PD(law.joint, HOLD_POSITION_GAIN, HOLD_VELOCITY_GAIN, target=target, feedforward=float(force))
         for law, target, force in zip(scene.control, targets, forces, strict=True)
     )
     description = "dual-axis solar tracker, panel held by stiff PD control, under gravity and wind"
     return replace(scene, description=description, control=control, initial_state=start)
+
+
+def _directions(most_tilt: float) -> Array:
+    """Return directions (n, 3) of the panel's normal, east, north, up, up to a tilt in degrees."""
+    tilts = np.radians(np.linspace(0.0, most_tilt, WORST_TILTS))
+    azimuths = np.radians(np.arange(WORST_AZIMUTHS) * 360.0 / WORST_AZIMUTHS)
+    tilt, azimuth = (each.ravel() for each in np.meshgrid(tilts, azimuths))
+    return np.stack([np.sin(tilt) * np.sin(azimuth), np.sin(tilt) * np.cos(azimuth), np.cos(tilt)], axis=1)
 
 
 def up_and_down(stroke: float, period: float) -> Sine:

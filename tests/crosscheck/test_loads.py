@@ -11,10 +11,24 @@ import pytest
 from command_line import run
 from plate_coefficients import blended
 
+from crosscheck.design.load_plots import load_figure
+from crosscheck.design.load_report import negligible_force
 from crosscheck.design.wind_validity import wind_ranges
-from crosscheck.library import LOAD_CASES, load
+from crosscheck.library import LOAD_CASES, load, load_sun_tracker
 from crosscheck.library.tracker import PANEL
-from newton_euler import Body, Free, Mechanism, Scene, WindLoad, simulate
+from newton_euler import (
+    Axis,
+    Body,
+    Free,
+    Mechanism,
+    Scene,
+    WindLoad,
+    load_envelope,
+    rest_case,
+    simulate,
+    solve_poses,
+    statics,
+)
 
 EXAMPLE = str(Path(__file__).parents[2] / "examples" / "four_bar.yaml")
 
@@ -32,13 +46,16 @@ def lines_of(out: str, title: str) -> dict[str, list[str]]:
 
 def test_cases_of_a_scene(capsys, monkeypatch, tmp_path):
     monkeypatch.setenv("COLUMNS", "80")
-    cases = ("--case", "calm:speed=0", "--case", "windy:speed=15,direction=90")
+    cases = ("--case", "calm:speed=0", "--case", "windy:speed=15,wind_from=180")
     status, out, err = run(
         capsys, "loads", "tracker_wind", "--set", "wind=steady", *cases, "--output", tmp_path
     )
     assert (status, err) == (0, "")
     assert out.startswith("tracker_wind: loads over cases calm, windy\nlargest force ")
-    assert "case windy: wind=steady, speed=15, direction=90" in out
+    assert "case windy: wind=steady, speed=15, wind_from=180, vertical=0, pose=moving" in " ".join(
+        out.split()
+    )
+    assert "case windy: starts at slide_12 0 m, slide_13 0 m" in out
     assert max(map(len, out.splitlines())) <= 80 + len(str(tmp_path)) * 5
     found = ranges(tmp_path)
     assert {row["most_case"] for row in found.values()} == {"calm", "windy"}
@@ -259,3 +276,68 @@ def test_what_nothing_holds_is_named(capsys, tmp_path):
     status, _, err = run(capsys, "loads", "pendulum", "--at-rest", "--output", tmp_path)
     assert status == 2
     assert "needed: actuators that hold it" in err
+
+
+def test_the_worst_pose_has_the_largest_actuator_force_of_all_poses():
+    """Against statics on another grid of poses, in wind from the south; its direction by trigonometry."""
+    options = {"wind": "steady", "speed": 14, "wind_from": 180}
+    worst = load("tracker_wind", pose="worst", **options)
+    (wind,) = worst.forces
+    np.testing.assert_allclose(wind.direction, [0.0, 1.0, 0.0], atol=1e-15)  # towards the north
+    found = np.abs(statics(worst).actuator_force).max()
+    tilt, azimuth = (
+        each.ravel() for each in np.meshgrid([0.2, 0.4, np.radians(30.0)], np.arange(0.1, 6.3, 0.5))
+    )
+    towards = np.stack([np.sin(tilt) * np.sin(azimuth), np.sin(tilt) * np.cos(azimuth), np.cos(tilt)], axis=1)
+    scene = load("tracker_wind", pose="tilted", **options)
+    poses = solve_poses(scene, axis=Axis("panel_7", [0.0, 0.0, 1.0]), towards=towards)
+    assert found > 0.999 * np.abs(statics(scene, poses).actuator_force).max()
+    # the pose is within the largest tilt, and the force larger than in the paper's pose
+    pose = solve_poses(
+        scene,
+        dict(zip(("slide_12", "slide_13"), (law.target for law in worst.control), strict=True)),
+        axis=Axis("panel_7", [0.0, 0.0, 1.0]),
+    )
+    assert pose.direction[0, 2] > np.cos(np.radians(30.0)) - 1e-6
+    assert found > 1.1 * np.abs(statics(scene).actuator_force).max()
+
+
+def test_a_panel_of_another_size_has_its_weight_its_inertia_and_its_wind():
+    """A square plate of 0.2 m and 2 kg, by the formulas of a box 4 mm thick and of the wind."""
+    scene = load(
+        "tracker_wind",
+        panel_width=0.2,
+        panel_height=0.2,
+        panel_mass=2.0,
+        pose="stow",
+        wind="steady",
+        speed=40,
+        vertical=-10,
+    )
+    plate = scene.mechanism.body("panel_7")
+    across, normal = 2.0 / 12.0 * (0.2**2 + 0.004**2), 2.0 / 12.0 * 2.0 * 0.2**2
+    np.testing.assert_allclose(plate.inertia, np.diag([across, across, normal]), rtol=1e-12)
+    held = statics(scene)
+    up = held.actuator_force.sum() + held.reaction_force[held.joint_names.index("hinge_14"), 2]
+    weight = 9.81 * (sum(body.mass for body in load("tracker").mechanism.bodies[1:-1]) + 2.0)
+    coefficient, _ = blended(np.degrees(np.arctan2(10.0, 40.0)), 1.0, 1.0)
+    assert up - weight == pytest.approx(0.5 * 1.225 * (40.0**2 + 10.0**2) * 0.04 * coefficient, rel=1e-3)
+
+
+def test_loads_at_round_off_have_no_plot():
+    """Pins of a planar arm carry no torque; hydraulic cylinders, as joints and as actuators, are drawn."""
+    scene = load("excavator")
+    run_at_rest = rest_case(scene)
+    envelope = load_envelope(scene, {"rest": run_at_rest})
+    figure = load_figure(scene, {"rest": run_at_rest}, negligible_force(scene, envelope))
+    shown = [ax for ax in figure.axes if ax.axison]
+    names = {ax.get_ylabel() for ax in shown}
+    assert {"boom_cylinder", "boom_cylinder\nactuator", "boom_pin"} <= names
+    heights = [max(abs(bar.get_height()) for bar in ax.patches) for ax in shown]
+    assert min(heights) > 1.0  # N or N m; round-off is below 1e-8
+
+
+def test_the_tracker_of_the_sun_has_the_options_of_its_panel(capsys):
+    assert load_sun_tracker({"panel_mass": "2"}).mechanism.body("panel_7").mass == 2.0
+    _, out, _ = run(capsys, "list")
+    assert "panel_mass=0.01..50 kg" in out.split("tracker_sun: ")[1].split("MJCF")[0]

@@ -11,10 +11,10 @@ import pytest
 from command_line import run
 from rerun.chunk import RrdReader
 
-from crosscheck.design.modes import stability
+from crosscheck.design.modes import analyze, data, stability, table, to_csv
 from crosscheck.library import load
 from crosscheck.recording.modes import AMPLITUDE, animate_mode
-from newton_euler import simulate, solve_poses, statics
+from newton_euler import PD, Body, Mechanism, Revolute, Scene, simulate, solve_poses, statics
 from newton_euler.analysis.linear.linear_model import Modes
 from newton_euler.analysis.linear.linearization import linearize
 from newton_euler.analysis.loads.equilibrium import equilibrium
@@ -28,7 +28,7 @@ def test_modes_prints_a_table_and_writes_a_recording(capsys, tmp_path):
     assert "pendulum about an equilibrium: 1 degree of freedom" in out
     frequency = np.sqrt(9.81) / (2.0 * np.pi)  # all of its mass at 1 m
     assert "neutral: undamped motions neither die out nor grow; at pivot 1.571 rad" in out
-    assert out.splitlines()[5].split()[:5] == ["1", f"{frequency:.6g}", "0", "-", "dumbbell:"]
+    assert out.splitlines()[5].split()[:6] == ["1", *[f"{frequency:.6g}"] * 2, "0", "-", "dumbbell:"]
     assert all(len(line) <= 80 for line in out.splitlines() if str(tmp_path) not in line)
     (recording,) = RrdReader(tmp_path / "modes.rrd").recordings()
     assert recording.application_id == "crosscheck_pendulum"
@@ -70,7 +70,7 @@ def test_modes_tell_the_pose_and_whether_it_is_stable(capsys, tmp_path):
     folder = ("--output", tmp_path)
     _, out, _ = run(capsys, "modes", "tracker_gravity", "-v", *folder)
     assert "stable: all motions die out; at slide_12 0.03299 m, slide_13 -0.04267 m" in out
-    assert ["2", "2.30255", "0.747"] in [line.split()[:3] for line in out.splitlines()]
+    assert ["2", "2.30255", "3.46629", "0.747"] in [line.split()[:4] for line in out.splitlines()]
     assert "comes to rest in this pose, beyond a singular configuration of slide_12, slide_13" in out
     branch = json.loads((tmp_path / "modes.json").read_text())["branch"]
     assert (branch["passed"], branch["beyond"]) == (1, True)
@@ -150,3 +150,20 @@ def test_drawn_motion_keeps_hinges_closed_to_first_order():
             if joint.kind == "universal":
                 opening = np.linalg.norm(ends[0] - ends[1], axis=1).max()
                 assert opening < AMPLITUDE**2 * scene.mechanism.size
+
+
+def test_a_damped_oscillator_has_its_natural_frequency():
+    """A crank of 1 kg m^2 held by 100 N m/rad, damped by 4 N m s/rad: 10 rad/s, ratio 0.2."""
+    crank = Body("crank", 1.0, [0.0, 0.0, 0.0], np.eye(3))
+    pivot = Revolute("pivot", "ground", "crank", [0.0, 0.0, 0.0], axis=[0.0, 1.0, 0.0], actuated=True)
+    law = PD("pivot", 100.0, 4.0, target=0.0)
+    scene = Scene("crank", Mechanism([Body.ground(), crank], [pivot]), 1.0, 0.1, control=(law,))
+    found = analyze(scene)
+    (mode,) = data(found)["modes"]
+    assert mode["undamped_frequency"] == pytest.approx(10.0 / (2.0 * np.pi), rel=1e-12)
+    assert mode["damping_ratio"] == pytest.approx(0.2, rel=1e-12)
+    assert mode["frequency"] == pytest.approx(np.sqrt(96.0) / (2.0 * np.pi), rel=1e-12)
+    (row,) = csv.DictReader(to_csv(found).splitlines())
+    assert float(row["undamped frequency, Hz"]) == pytest.approx(10.0 / (2.0 * np.pi), rel=1e-8)
+    cells = table(scene.mechanism, found.modes).rows[0]
+    assert cells[1:4] == ["1.55939", "1.59155", "0.2"]

@@ -187,7 +187,7 @@ def test_results_have_a_page(results):
     [
         (("tracker_gravity", "--axis", "bob=0,0,1"), "unknown body 'bob'"),
         (("pendulum",), "needed: --axis BODY=X,Y,Z"),
-        (("--set", "wind=gust"), "--set wind needs a SCENE"),
+        (("--set", "wind=gust"), "unknown option 'wind' of scene 'tracker_sun'"),
         (("tracker_computed_torque",), "set-points need PD controllers"),
         (("tracker_wind",), "wind load 'wind' has a function of time (speed)"),
         (("tracker_gravity", "--axis", "panel_7"), "not of the form BODY=X,Y,Z"),

@@ -423,7 +423,7 @@ def test_the_command_writes_what_it_prints(tmp_path, capsys):
             "needed: --axis BODY=X,Y,Z, the normal of a face; ",
         ),
         (["--latitude", "5", "--year", "2026", "--area", "2"], "--area, --efficiency and --temp"),
-        (["--latitude", "5", "--year", "2026", "--set", "x=1"], "--set x needs a SCENE"),
+        (["--latitude", "5", "--year", "2026", "--set", "x=1"], "unknown option 'x' of scene 'tracker_sun'"),
         (["--latitude", "5", "--year", "2026", "--stow", "9"], "clear sky of 2026 has no wind"),
         (["--latitude", "95", "--year", "2026"], "latitude 95.0 is off the globe"),
     ],

@@ -60,7 +60,7 @@ def on_the_ground(scene, state, held):
 
 def test_static_reactions_of_the_ground_are_weight_and_wind():
     """At poses all over the workspace; the wind by its own writing. 1e-10 of the weight of 14.5 N."""
-    scene = load("tracker_wind", wind="steady", speed=15, direction=200)
+    scene = load("tracker_wind", wind="steady", speed=15, wind_from=70)
     for state in random_states(scene, 6):
         still = State.initial(scene.mechanism)
         still = replace(still, position=state.position, quaternion=state.quaternion)
