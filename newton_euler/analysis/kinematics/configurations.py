@@ -352,18 +352,19 @@ class Configurations:
         return self.jacobian[:, len(self.chain.system.phi_units) :]
 
     @cached_property
-    def spaces(self) -> tuple[Array, Array]:
-        """Pair of `loop_inverse` and `tangent`, from one singular value decomposition."""
+    def spaces(self) -> tuple[Array, Array, Array]:
+        """`loop_inverse`, `tangent` and `weakest_loop`, from one singular value decomposition."""
         system = self.chain.system
         rank = system.nv - self.chain.freedoms
         if rank == 0:
             shape = len(self), system.nv, self.phi.shape[1]
-            return np.zeros(shape), np.tile(np.eye(system.nv), (len(self), 1, 1))
+            no_loops = np.full(len(self), np.inf)
+            return np.zeros(shape), np.tile(np.eye(system.nv), (len(self), 1, 1)), no_loops
         u, s, vt = np.linalg.svd(self.loops)
-        s = s[:, :rank, None]
+        weakest, s = s[:, rank - 1], s[:, :rank, None]
         inverse = np.divide(1.0, s, out=np.zeros_like(s), where=s > RANK_TOLERANCE)
         pseudo_inverse = np.swapaxes(vt[:, :rank], 1, 2) @ (inverse * np.swapaxes(u[:, :, :rank], 1, 2))
-        return pseudo_inverse, vt[:, rank:]
+        return pseudo_inverse, vt[:, rank:], weakest
 
     @property
     def loop_inverse(self) -> Array:
@@ -374,6 +375,11 @@ class Configurations:
     def tangent(self) -> Array:
         """Orthonormal velocities (n, f, nv) that leave the loops closed."""
         return self.spaces[1]
+
+    @property
+    def weakest_loop(self) -> Array:
+        """Smallest singular value (n,) of the Jacobian of the loops: 0 where they lose rank."""
+        return self.spaces[2]
 
     def goal_errors(self, goal: Goal) -> tuple[Array, Array]:
         """Compute the dimensionless errors (n, e) of goals, configuration minus goal, and their Jacobian.

@@ -41,6 +41,10 @@ lengths divided by the size of the mechanism."""
 MIN_STRIDE_FRACTION = 2.0**-10
 """Shortest stride, as a fraction of the first one. Strides whose ends leave the branch are halved."""
 
+SINGULAR_LOOPS = 1e-6
+"""Smallest singular value of the dimensionless Jacobian of the loops in configurations from which strides
+start. Where loops lose rank, steps of Newton's method have no direction."""
+
 MAX_STRIDES = 1000
 """Largest number of strides (solved intermediate goals) from the start to a goal. Farther goals get longer
 strides."""
@@ -185,19 +189,22 @@ def follow(start: Configurations, goal: Goal) -> tuple[Configurations, Array, Ar
         # a stride that leaves the branch is tried again at half the length; the last one may pass a
         # configuration in which loops lose rank
         is_long = stride[numbers] > MIN_STRIDE_FRACTION * first_stride[numbers]
-        again = met & is_long & (~follows | crosses)
+        # one that ends where loops lose rank is shortened, unless its goal is there
+        is_singular = after.weakest_loop < SINGULAR_LOOPS
+        again = met & is_long & (~follows | crosses | (is_singular & (fraction < 1.0)))
         met &= follows & ~again
         stride[numbers[again]] = 0.5 * np.minimum(stride[numbers], distance)[again]
         stride[numbers[met]] = np.minimum(2.0 * stride[numbers[met]], first_stride[numbers[met]])
-        # the ends of strides are solved goals from now on
+        # the ends of strides are solved goals from now on, from which others start if loops keep their rank
         tried[numbers[~again]] = source[~again]
         values[numbers] = np.where(met[:, None], after.values, before.values)
         reached[numbers] = met & (fraction == 1.0)
         is_beyond = solved_beyond[source] | crosses
         beyond[numbers] = is_beyond
-        solved = np.concatenate([solved, after.values[met]])
-        solved_beyond = np.concatenate([solved_beyond, is_beyond[met]])
-        solved_goals = solved_goals.with_others(intermediate[met])
+        starts = met & ~is_singular
+        solved = np.concatenate([solved, after.values[starts]])
+        solved_beyond = np.concatenate([solved_beyond, is_beyond[starts]])
+        solved_goals = solved_goals.with_others(intermediate[starts])
     return Configurations(chain, values), reached, beyond & reached
 
 

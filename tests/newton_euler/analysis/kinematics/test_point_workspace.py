@@ -114,3 +114,18 @@ def test_no_pose_is_marked_without_a_singular_configuration_of_loops(name, coord
     found = workspace(load(name), {coordinate: np.linspace(-3.0, 3.0, 13)})
     assert found.reachable.all()
     assert not found.poses.beyond.any()
+
+
+def test_a_goal_in_which_windows_lie_flat_does_not_hide_those_beyond():
+    """The bars of a window, of equal lengths, lie flat when the crank has turned by a quarter turn."""
+    scene, flat = load("four_bar", N=1), 0.5 * np.pi
+    poses = solve_poses(scene, {"pivot_0": [flat, 1.7, 3.0, 4.6, 1.5]})
+    assert poses.reached.all()
+    assert poses.beyond[1:].tolist() == [True, True, True, False]
+    angles = np.linspace(-np.pi, np.pi, 9)  # through both flat poses
+    found = workspace(scene, {"pivot_0": angles})
+    is_flat = np.abs(np.abs(angles) - flat) < 1e-9
+    assert found.reachable[~is_flat].all()
+    beyond = np.full(len(angles), False)
+    beyond[found.reachable] = found.poses.beyond
+    np.testing.assert_array_equal(beyond[~is_flat], np.abs(angles[~is_flat]) > flat)
