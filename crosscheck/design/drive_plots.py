@@ -11,6 +11,7 @@ from crosscheck.report.plots import own_style
 from crosscheck.support.palette import palette
 from newton_euler.analysis.loads.actuator_motions import ActuatorMotion
 from newton_euler.analysis.loads.drives import Drive, motor_motion
+from newton_euler.scalars import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,6 +22,14 @@ MAX_PLOTTED_DRIVES = 5
 
 DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)))
 """Dash patterns of the drives, in their order; they tell drives apart without color."""
+
+MAX_DRAWN_TIMES, BINS = 3000, 120
+"""Number of times of a motion above which only its envelope is drawn, and number of its bins over time. An
+envelope is the smallest and the largest value in each bin. A day of a tracker has a move a minute, whose
+lines would fill the plot."""
+
+SPEED_BINS = 30
+"""Number of bins of the envelope over speed, some of which have few values."""
 
 LEAST_SHOWN = 0.01
 """Lower limits of the plot of force over speed, as a fraction of the largest force and speed."""
@@ -33,7 +42,7 @@ def drive_figure(found: DriveResults) -> Figure:
     The left one has the torque of the motor over time, in percent of its peak torque. The right one has the
     magnitudes of force and speed of the actuator; both axes are logarithmic. A drive that moves a load
     steadily can reach each point below and to the left of its lines: the rated speed, and the force of its
-    peak torque.
+    peak torque. A motion with more than `MAX_DRAWN_TIMES` times has envelopes in place of lines.
     """
     from matplotlib.figure import Figure
     from matplotlib.ticker import NullFormatter
@@ -46,7 +55,12 @@ def drive_figure(found: DriveResults) -> Figure:
         force, length = ("N", "m") if motion.is_slide else ("N m", "rad")
         magnitudes = (np.abs(motion.speed), np.abs(motion.force))
         least_speed, least_force = (LEAST_SHOWN * float(values.max()) or 1e-9 for values in magnitudes)
-        force_plot.plot(*magnitudes, color="black", linewidth=1.0, label="motion")
+        is_long = len(motion.time) > MAX_DRAWN_TIMES
+        if is_long:
+            edges = np.geomspace(least_speed, max(magnitudes[0].max(), least_speed), SPEED_BINS + 1)
+            _draw_envelope(force_plot, edges, *magnitudes, {"color": "black", "label": "motion, envelope"})
+        else:
+            force_plot.plot(*magnitudes, color="black", linewidth=1.0, label="motion")
         for sized, dash in zip(best[motion.name], DASHES, strict=False):
             name = sized.drive.name
             style = {"color": colors[name], "linestyle": dash, "linewidth": 1.6, "label": name}
@@ -54,7 +68,7 @@ def drive_figure(found: DriveResults) -> Figure:
             _draw_limits(force_plot, sized.drive, least_speed, least_force, style)
         torque_plot.set_title(motion.name, fontsize="medium")
         torque_plot.set_xlabel("time, s")
-        torque_plot.set_ylabel("torque, % of peak torque")
+        torque_plot.set_ylabel("torque, % of peak torque" + (", envelope" if is_long else ""))
         force_plot.set_xlabel(f"speed, {length}/s")
         force_plot.set_ylabel(f"force, {force}")
         force_plot.set_xscale("log")
@@ -74,7 +88,38 @@ def _draw_torque(ax: Axes, drive: Drive, motion: ActuatorMotion, style: dict[str
     """Draw the torque of a motor over time."""
     motor = motor_motion(drive, motion)
     times = np.stack([motor.time[:-1], motor.time[1:]], axis=1).ravel()
-    ax.plot(times, 100.0 * motor.torque.T.ravel() / drive.peak_torque, **style)
+    torque = 100.0 * motor.torque.T.ravel() / drive.peak_torque
+    if len(motor.time) > MAX_DRAWN_TIMES:
+        _draw_envelope(ax, np.linspace(times[0], times[-1], BINS + 1), times, torque, style)
+    else:
+        ax.plot(times, torque, **style)
+
+
+def envelope(edges: Array, x: Array, values: Array) -> tuple[Array, Array, Array]:
+    """Find the smallest and the largest value in each bin of x.
+
+    Args:
+        edges: (b + 1,) borders of the bins, ascending.
+        x: (n,) places of the values; those outside of the bins are left out.
+        values: (n,).
+
+    Returns:
+        Middles (m,) of the bins with values, smallest and largest values (m,) in them.
+    """
+    inside = (x >= edges[0]) & (x <= edges[-1])
+    bins = np.minimum(np.searchsorted(edges, x[inside], side="right") - 1, len(edges) - 2)
+    low, high = np.full(len(edges) - 1, np.inf), np.full(len(edges) - 1, -np.inf)
+    np.minimum.at(low, bins, values[inside])
+    np.maximum.at(high, bins, values[inside])
+    filled = low <= high
+    return 0.5 * (edges[:-1] + edges[1:])[filled], low[filled], high[filled]
+
+
+def _draw_envelope(ax: Axes, edges: Array, x: Array, values: Array, style: dict[str, Any]) -> None:
+    """Draw the smallest and the largest value in each bin of x; one of both lines has the label."""
+    middles, low, high = envelope(edges, x, values)
+    ax.plot(middles, high, **style)
+    ax.plot(middles, low, **(style | {"label": None}))
 
 
 def _draw_limits(

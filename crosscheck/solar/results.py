@@ -176,7 +176,7 @@ def picture(day: Day) -> Figure:
     """Plot elevations, causes of the pointing error, set-points, forces of actuators, and irradiance."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7.0, 11.0), layout="constrained")
+    figure = Figure(figsize=(9.0, 11.0), layout="constrained")
     figure.suptitle(f"{day.scene.name}, {day.sun.times[0]:%Y-%m-%d}, {day.place}")
     hour = day.seconds / 3600.0
     angle_plot, error_plot, set_point_plot, force_plot, light_plot = figure.subplots(5, 1, sharex=True)
@@ -187,7 +187,7 @@ def picture(day: Day) -> Figure:
             ax.plot(hour, values, label=name, linewidth=1.4)
         ax.set_ylabel(label)
         ax.grid(alpha=0.3)
-        ax.legend(loc="upper right", fontsize="small")
+        ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize="small")
 
     up = day.sun.is_up
     normal_elevation = np.degrees(np.arcsin(np.clip(day.normals[:, 2], -1.0, 1.0)))
