@@ -71,6 +71,11 @@ from crosscheck.support.errors import CrosscheckError
     "needs --wind.  [default: 0]",
 )
 @click.option(
+    "--base",
+    metavar="NAME=DEGREES,...",
+    help="Orientation of the base at rest: heading of its x axis, roll and pitch.",
+)
+@click.option(
     "--speed",
     type=float,
     default=0.01,
@@ -102,6 +107,7 @@ def sun_command(
     wind: str | None,
     wind_from: float | None,
     wind_up: float | None,
+    base: str | None,
     with_reach: bool,
     output: Path | None,
     **numbers: float,
@@ -112,6 +118,7 @@ def sun_command(
     with x to the east, y to the north and z up; without it, the tracker of the library. A mechanism that
     cannot face the sun comes as near as it can. With several latitudes or dates, a table compares the days.
     """
+    from crosscheck.solar.base import Base, base_of
     from crosscheck.solar.day import tracker_day
     from crosscheck.solar.place import SUN, Place, seconds_of_day
     from crosscheck.solar.reach import reach_over_year
@@ -135,6 +142,9 @@ def sun_command(
         **numbers,  # the other options are rules of tracking
     )
     check_period(period)
+    orientation = Base() if base is None else base_of(base)
+    if with_reach and base is not None:
+        raise CrosscheckError("--reach is for a level base; leave out --base")
     speeds = None if wind is None else wind_over_day(wind, seconds_of_day(period))
     places = [Place(latitude, longitude, altitude) for latitude in latitudes]
     pairs = list(product(places, dates))
@@ -163,6 +173,7 @@ def sun_command(
                     speeds,
                     wind_from or 0.0,
                     wind_up or 0.0,
+                    orientation,
                 )
             )
         # the report compares the irradiation with that of other panels, such as a fixed one

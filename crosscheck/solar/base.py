@@ -28,6 +28,10 @@ EAST = 90.0
 """Heading, degrees from north to the east, of a base that is not turned: its x axis points east."""
 
 
+LEVEL = Polynomial((0.0,))
+"""Angle, rad, of a base about an axis about which it is not turned."""
+
+
 @dataclass(frozen=True)
 class Base:
     """Motion of the base of a tracker.
@@ -66,13 +70,28 @@ class Base:
                 turned = turned @ _turns(axis, np.array([float(function.value(time)) for time in seconds]))
         return turned
 
+    def rotation_at_rest(self) -> Array:
+        """Return the rotation (3, 3) from the base's axes to the world's of a base that does not turn.
+
+        Raises:
+            CrosscheckError: if the base turns.
+        """
+        for name in HINGES:
+            angle = self.motions.get(name, LEVEL)
+            if not isinstance(angle, Polynomial) or len(angle.coefficients) > 1:
+                raise CrosscheckError(f"base: {name} varies with time; needed: a base at rest")
+        return np.asarray(self.rotations(np.zeros(1))[0])
+
     def sun(self, sun: Sun, seconds: Array) -> Sun:
         """Return the positions of the sun in the axes of the base: azimuth from y to x, elevation above xy.
 
         `sun` has n positions in the world, at the times `seconds` (n,) of the base's motion, s.
         """
+        if not self.motions:
+            return sun
         east, north, up = np.einsum("nji,nj->ni", self.rotations(seconds), sun.direction).T
-        return Sun(sun.times, np.arctan2(east, north) % (2.0 * np.pi), np.arcsin(np.clip(up, -1.0, 1.0)))
+        azimuth, elevation = np.arctan2(east, north) % (2.0 * np.pi), np.arctan2(up, np.hypot(east, north))
+        return Sun(sun.times, azimuth, elevation)
 
 
 def _turns(axis: Array, angles: Array) -> Array:

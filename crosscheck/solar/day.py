@@ -16,11 +16,12 @@ from typing import Any
 
 import numpy as np
 
+from crosscheck.solar.base import Base
 from crosscheck.solar.energy import THIS, ClearSky, over_day
 from crosscheck.solar.geared import Geared
 from crosscheck.solar.moves import Plan
 from crosscheck.solar.obstacles import Faced, Ways, face
-from crosscheck.solar.one_axis import aim_of
+from crosscheck.solar.one_axis import MIN_ELEVATION, aim_of
 from crosscheck.solar.place import Place, Sun, day_times, sun_over
 from crosscheck.solar.set_points import check_period, check_tracker, following
 from crosscheck.solar.tracking import Tracking
@@ -48,6 +49,10 @@ LARGE_ANGLE = 10.0
 
 DEFAULT_TRACKING = Tracking()
 """Rules of tracking of `tracker_day` if the caller gives none."""
+
+
+LEVEL_BASE = Base()
+"""Base of `tracker_day` if the caller gives none: level, with x to the east."""
 
 
 def angles(one: Array, other: Array) -> Array:
@@ -118,6 +123,8 @@ class Day:
         axis: the panel's normal as an axis of a body.
         wind: (n,) m/s, wind speed at the times of the set-points; None for calm.
         wind_up: upward speed of the wind as a fraction of `wind`.
+        base: orientation of the base. Directions and vectors of a day are in the axes of the base, which are
+            those of the scene; without rotation x is east, y north and z up.
     """
 
     place: Place
@@ -135,6 +142,21 @@ class Day:
     axis: Axis
     wind: Array | None = None
     wind_up: float = 0.0
+    base: Base = LEVEL_BASE
+
+    @cached_property
+    def seen(self) -> Sun:
+        """Positions of the sun in the axes of the base."""
+        return self.base.sun(self.sun, self.seconds)
+
+    def in_world(self, directions: Array) -> Array:
+        """Turn directions (n, 3) from the axes of the base to east, north and up."""
+        return directions @ self.base.rotation_at_rest().T
+
+    @property
+    def has_one_axis(self) -> bool:
+        """True if the face turns about one axis only, and cannot face the sun but by chance."""
+        return self.faced.obstacles.has_one_axis
 
     @property
     def poses(self) -> Poses:
@@ -210,7 +232,7 @@ class Day:
 
     @cached_property
     def normals(self) -> Array:
-        """(n, 3) directions of the panel's normal in the simulated motion: east, north, up."""
+        """(n, 3) directions of the panel's normal in the simulated motion."""
         body = self.run.body_names.index(self.axis.body)
         return rotations(self.run.quaternion[:, body]) @ self.axis.axis
 
@@ -220,7 +242,7 @@ class Day:
 
         They are those at the times of the set-points, just before the panel moves on.
         """
-        return angles(self.normals, self.sun.direction)
+        return angles(self.normals, self.seen.direction)
 
     @cached_property
     def error_parts(self) -> dict[str, Array]:
@@ -236,7 +258,7 @@ class Day:
         assert self.poses.direction is not None
         faced, reached = self.faced.directions[previous], self.poses.direction[previous]
         return {
-            "one axis only": angles(self.aim.direction, self.sun.direction),
+            "one axis only": angles(self.aim.direction, self.seen.direction),
             "limits of tilt, shadow and wind": angles(free_now, self.aim.direction),
             "the sun's way in a period": angles(free, free_now),
             "dead band": angles(held, free),
@@ -262,13 +284,14 @@ class Day:
 
         This holds at the time of the set-point and of the previous one, which the panel has followed.
         """
-        may_face = self.tracking.can_face(self.aim) & self.poses.reached & ~self.stowed & ~self.faced.replaced
+        can_face = self.tracking.can_face(self.aim) & self.seen.is_up
+        may_face = can_face & self.poses.reached & ~self.stowed & ~self.faced.replaced
         return may_face & np.append(may_face[0], may_face[:-1])
 
     @property
     def sun_seen(self) -> Array:
-        """(n, 3) unit vectors to the sun (east, north, up), for drawing; at night in the horizontal plane."""
-        seen = self.sun.direction  # a new array at each access
+        """(n, 3) unit vectors to the sun, for drawing; at night in the plane of the base."""
+        seen = self.seen.direction  # a new array at each access
         seen[~self.sun.is_up, 2] = 0.0
         return np.asarray(seen / np.linalg.norm(seen, axis=1, keepdims=True))
 
@@ -280,13 +303,13 @@ class Day:
     @cached_property
     def lost_light(self) -> float:
         """W h/m^2, irradiation that is lost because wanted directions are blocked."""
-        wanted, faced = (self.sky.on(each) for each in (self.wanted, self.faced.directions))
+        wanted, faced = (self.sky.on(self.in_world(each)) for each in (self.wanted, self.faced.directions))
         return over_day(self.seconds, wanted - faced)
 
     @cached_property
     def irradiance(self) -> dict[str, Array]:
         """(n,) W/m^2, irradiance on this tracker's panel (`THIS`, first) and on other panels, by name."""
-        normals = {THIS: self.normals, **self.sky.alternatives()}
+        normals = {THIS: self.in_world(self.normals), **self.sky.alternatives()}
         return {name: self.sky.on(each) for name, each in normals.items()}
 
     @cached_property
@@ -306,6 +329,7 @@ def tracker_day(
     wind: Array | None = None,
     wind_from: float = 0.0,
     wind_up: float = 0.0,
+    base: Base = LEVEL_BASE,
 ) -> Day:
     """Simulate a day of a tracker, from midnight to midnight, with a new set-point every `period` s.
 
@@ -326,6 +350,7 @@ def tracker_day(
         wind_from: direction that the wind comes from, degrees from north to the east.
         wind_up: upward speed of the wind as a fraction of `wind`, in addition, such as 0.25 or -0.25 for a
             gust on a panel that lies flat.
+        base: orientation of the base, at rest. Tilt and rows are relative to the base.
 
     Raises:
         CrosscheckError: for a scene with other controllers, and for an invalid date, zone or period.
@@ -334,13 +359,16 @@ def tracker_day(
     check_period(period)
     sun = sun_over(place, day_times(date, zone or place.zone, period))
     check_tracker(scene)  # before poses are solved
+    # in the axes of the base, the weight is turned
+    rotation = base.rotation_at_rest()
+    scene = replace(scene, gravity=rotation.T @ scene.gravity)
     geared = Geared.of(scene)
-    aim = aim_of(geared.planned, axis, sun)
+    aim = aim_of(geared.planned, axis, _by_day(sun, base.sun(sun, period * np.arange(len(sun.times)))))
     wanted = tracking.normals(aim, wind)
     faced = face(geared.planned, axis, wanted, tracking)
     scene, loads, plan = following(geared, faced.poses, period, tracking)
     if wind is not None:
-        load = wind_on_panel(scene, axis, scene.times, wind, wind_from, wind_up)
+        load = wind_on_panel(scene, axis, scene.times, wind, wind_from, wind_up, rotation)
         scene = replace(scene, forces=(*scene.forces, *([load] if load else [])))
     scene = replace(scene, outputs=frozenset({"velocities", "actuation"}))
     motion = compile_scene(scene).simulate(times=plan.samples(scene.times), rest=REST_RATE)
@@ -360,4 +388,16 @@ def tracker_day(
         axis=axis,
         wind=wind,
         wind_up=wind_up,
+        base=base,
     )
+
+
+def _by_day(sun: Sun, seen: Sun) -> Sun:
+    """Return the positions of the sun as seen from a base, above its plane by day and below it by night.
+
+    By day a sun behind the plane of a base that leans is faced as nearly as the plane allows.
+    """
+    if np.array_equal(sun.is_up, seen.is_up):
+        return seen
+    night = np.minimum(seen.elevation, 0.0)
+    return replace(seen, elevation=np.where(sun.is_up, np.maximum(seen.elevation, MIN_ELEVATION), night))

@@ -108,7 +108,8 @@ class Obstacles:
         self.can_avoid = bool(self.check(flat).cause[0] == Cause.FREE)
 
     @cached_property
-    def _has_one_axis(self) -> bool:
+    def has_one_axis(self) -> bool:
+        """True if the face turns about one axis only."""
         return turns_about_one_axis(self._scene, self._axis)
 
     def poses(self, directions: Array) -> Poses:
@@ -126,10 +127,10 @@ class Obstacles:
             axis=self._axis,
             towards=directions,
             measure=self._keys,
-            nearest=self._has_one_axis,
+            nearest=self.has_one_axis,
         )
         checks = self.check(poses)
-        if self._has_one_axis:
+        if self.has_one_axis:
             return poses, checks
         return poses, checks._replace(cause=np.where(poses.reached, checks.cause, Cause.UNREACHABLE))
 
@@ -183,7 +184,7 @@ class Obstacles:
             wanted: (m, 3) directions that are blocked, east, north, up.
             reached: (m, 3) directions of the poses that come nearest to them.
         """
-        if self._has_one_axis:
+        if self.has_one_axis:
             azimuth = np.arctan2(reached[:, 0], reached[:, 1])
             return tilted(self._largest_tilts(azimuth), azimuth)
         directions, which = np.unique(wanted.round(9), axis=0, return_inverse=True)

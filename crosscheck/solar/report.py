@@ -130,7 +130,7 @@ def day_report(day: Day, reach: Reach | None = None) -> Report:
 def verdict(day: Day) -> str:
     """Report in one sentence how well the panel followed the sun."""
     faces = day.faces
-    best = "faces the sun" if day.aim is day.sun else "comes as near to the sun as one axis allows"
+    best = "faces the sun" if not day.has_one_axis else "comes as near to the sun as one axis allows"
     text = f"{best} for {day.hours(faces):.1f} h"
     if faces.any():
         text += f" to {np.degrees(np.max(day.errors[faces])):.2f} deg"
@@ -190,7 +190,17 @@ def forces_text(day: Day) -> str:
 
 def assumptions(day: Day) -> Iterator[str]:
     """Yield the assumptions of the report, one sentence each."""
-    yield "x is east, y north, z up; sun by NREL's algorithm, refraction at 12 degrees Celsius included"
+    if day.base.motions:
+        east, north, up = (
+            ", ".join(f"{round(x, 3) + 0.0:g}" for x in each) for each in day.base.rotation_at_rest()
+        )
+        yield (
+            f"east, north and up are ({east}), ({north}) and ({up}) in the axes of the base, to which tilts, "
+            "normals and the zenith of a flat panel refer"
+        )
+    else:
+        yield "x is east, y north, z up"
+    yield "sun by NREL's algorithm, refraction at 12 degrees Celsius included"
     yield (
         f"set-points every {day.period:g} s, held by PD laws with the weight fed forward; tilt at most "
         f"{day.tracking.most_tilt:g} degrees; dead band {day.tracking.deadband:g} degrees"

@@ -109,6 +109,7 @@ def summary_of(day: Day) -> dict[str, Any]:
         "latitude": day.place.latitude,
         "longitude": day.place.longitude,
         "altitude": day.place.altitude,
+        "base_rotation": day.base.rotation_at_rest().tolist(),
         "period": day.period,
         "hours_facing_sun": day.hours(day.faces),
         "largest_error": {
@@ -190,7 +191,7 @@ def picture(day: Day) -> Figure:
         ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize="small")
 
     up = day.sun.is_up
-    normal_elevation = np.degrees(np.arcsin(np.clip(day.normals[:, 2], -1.0, 1.0)))
+    normal_elevation = np.degrees(np.arcsin(np.clip(day.in_world(day.normals)[:, 2], -1.0, 1.0)))
     sun_elevation = np.where(up, np.degrees(day.sun.elevation), np.nan)
     draw(angle_plot, {"sun's elevation": sun_elevation, "normal's elevation": normal_elevation}, "deg")
     errors = {"all together": day.errors, **day.error_parts}

@@ -29,6 +29,10 @@ SAME_DIRECTION = 1e-6
 """Largest sine of the angle between the normal of a panel and an edge of its box that counts as parallel."""
 
 
+LEVEL = np.eye(3)
+"""Rotation of a base that is level, with x to the east."""
+
+
 def panel_box(scene: Scene, axis: Axis) -> tuple[Box, Array] | None:
     """Find the box that is the panel: of the face's body, with two edges across the normal.
 
@@ -53,7 +57,13 @@ def panel_box(scene: Scene, axis: Axis) -> tuple[Box, Array] | None:
 
 
 def wind_on_panel(
-    scene: Scene, axis: Axis, times: Array, speeds: Array, blows_from: float, upward: float = 0.0
+    scene: Scene,
+    axis: Axis,
+    times: Array,
+    speeds: Array,
+    blows_from: float,
+    upward: float = 0.0,
+    rotation_of_base: Array = LEVEL,
 ) -> WindLoad | None:
     """Return the load of the wind on the panel; None if the size of the panel is not known.
 
@@ -65,20 +75,21 @@ def wind_on_panel(
         blows_from: direction that the wind comes from, degrees from north to the east.
         upward: upward speed as a fraction of `speeds`, in addition, such as that of a gust. A panel that lies
             flat has a load by this speed only.
+        rotation_of_base: (3, 3), from the axes of the scene to east, north and up.
     """
     if (panel := panel_box(scene, axis)) is None:
         return None
     box, sides = panel
     from_north = np.radians(blows_from)
+    blows = np.array([-np.sin(from_north), -np.cos(from_north), upward])
     return WindLoad(
         WIND,
         axis.body,
         box.center,
         first_side=sides[0],
         second_side=sides[1],
-        direction=[-np.sin(from_north), -np.cos(from_north), 0.0],
-        speed=Steps(times, speeds),
-        vertical_speed=Steps(times, upward * speeds) if upward else 0.0,
+        direction=rotation_of_base.T @ blows,
+        speed=Steps(times, speeds * float(np.linalg.norm(blows))),
     )
 
 
