@@ -24,7 +24,11 @@ from newton_euler.compiled.constraint_groups import constraint_groups, group_pla
 from newton_euler.compiled.equations import OPEN_TOLERANCE
 from newton_euler.compiled.records import dop853_of, fixed_step_of, radau_of
 from newton_euler.compiled.run import METHODS, native_method
-from newton_euler.equations.applied_forces import surroundings, with_likely_causes
+from newton_euler.equations.applied_forces import (
+    surroundings,
+    too_many_or_small_steps,
+    with_likely_causes,
+)
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.dense import singular_values
 from newton_euler.equations.load_friction import jam
@@ -352,10 +356,10 @@ class EvaluatedSystem(Callbacks):
         reason = status.message.format(max_steps=max_steps)
         if status == Status.SINGULAR:
             reason = str(error)
-        if status in (Status.TOO_MANY_STEPS, Status.STEP_TOO_SMALL) and integrator == "DOP853":
-            reason += "; for stiff equations use Radau"
         with np.errstate(all="ignore"):  # a run may have ended because its numbers are not finite
             friction = partial(system.loaded_friction, last[: system.nq], last[system.nq :])
             reason = jam(system.scene, friction, [last]) or reason
             around = surroundings(system.scene, state, time)._replace(friction=friction)
+            if status in (Status.TOO_MANY_STEPS, Status.STEP_TOO_SMALL):
+                reason = too_many_or_small_steps(reason, system.scene, around, integrator)
             return IntegrationError(time, with_likely_causes(system.scene, state, reason, around))

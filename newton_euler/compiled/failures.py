@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from newton_euler.compiled.equations import CompiledEquations
-from newton_euler.equations.applied_forces import with_likely_causes
+from newton_euler.equations.applied_forces import too_many_or_small_steps, with_likely_causes
 from newton_euler.equations.dense import largest_share, singular_values
 from newton_euler.equations.load_friction import jam
 from newton_euler.equations.system import dimensionless_jacobian, fastest_joint
@@ -216,7 +216,9 @@ def _reason(code: CompiledEquations, options: Options, status: Status, x: Array)
         # "one" is a larger rtol. Dimensions miss a singular configuration if the closed loops cannot reach it
         remedy = "a larger one, up to 1e-8, may pass, unless dimensions miss that configuration by more"
         return f"{reason}; {noise}; {remedy}"
-    return f"{reason}; for stiff equations use Radau" if options.integrator == "DOP853" else reason
+    system = code.float_system(x)
+    at = system.surroundings(x[: system.nq], x[system.nq : code.size])
+    return too_many_or_small_steps(reason, system.scene, at, options.integrator)
 
 
 def singular_joint(code: CompiledEquations, x: Array) -> str:

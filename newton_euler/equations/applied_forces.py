@@ -8,6 +8,8 @@ joints) are not part of the wrenches; the forms of the equations add these force
 
 from __future__ import annotations
 
+from typing import assert_never
+
 import numpy as np
 
 from newton_euler.equations.system import fastest_joint
@@ -16,7 +18,11 @@ from newton_euler.model.elements import Element, Surroundings
 from newton_euler.model.forces import Spring
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
+from newton_euler.model.switched_forces import ElasticGear, JointFriction, JointStop
 from newton_euler.scalars import Array, Scalar
+
+STICKING = 10.0
+"""Largest rate of a joint that counts as sticking, in units of the transition speed of its friction."""
 
 
 def surroundings(scene: Scene, state: State, time: float = 0.0) -> Surroundings:
@@ -99,6 +105,55 @@ def with_likely_causes(scene: Scene, state: State, reason: str, at: Surroundings
         return reason
     largest = max(magnitudes, key=lambda name: np.nan_to_num(magnitudes[name], nan=np.inf))
     return f"{reason}, largest force: {largest}"
+
+
+def too_many_or_small_steps(reason: str, scene: Scene, at: Surroundings, integrator: str) -> str:
+    """Append the switched force that makes steps short, and remedies, to the reason of a failure.
+
+    Args:
+        reason: text of the error message.
+        scene: the scene.
+        at: quantities that the forces depend on at the last state of the run.
+        integrator: name of the integrator.
+    """
+    remedy = "for stiff equations use Radau" if integrator == "DOP853" else ""
+    return "; ".join(part for part in (reason, stiffest_switch(scene, at), remedy) if part)
+
+
+def stiffest_switch(scene: Scene, at: Surroundings) -> str:
+    """Name the dry friction or the stop that makes steps of a run short, and what to change; "" for none.
+
+    It is the friction with the smallest transition speed that sticks, or else the stiffest stop
+    that acts.
+
+    Args:
+        scene: the scene.
+        at: quantities that the forces depend on at the last state of the run.
+    """
+    sticking, acting = dict[str, tuple[float, str]](), list[JointStop]()
+    for force in scene.switched_forces:
+        if isinstance(force, JointStop):
+            if force.energy(at) > 0.0:
+                acting.append(force)
+            continue
+        if isinstance(force, JointFriction):
+            ratio = force.measure(at)[1] / force.transition_speed
+        elif isinstance(force, ElasticGear):
+            ratio = force.speed_ratio(at)
+        else:
+            assert_never(force)
+        if abs(ratio) <= STICKING:
+            unit = "m/s" if at.mechanism.is_slide(*force.unit_key) else "rad/s"
+            sticking[force.element] = float(force.transition_speed), unit
+    if sticking:
+        element, (speed, unit) = min(sticking.items(), key=lambda item: item[1][0])
+        return f"{element} is stiff below its transition_speed of {speed:g} {unit}: use a larger one"
+    if acting:
+        hardest = max(acting, key=lambda stop: float(stop.stiffness))
+        unit = "N/m" if at.mechanism.is_slide(*hardest.key) else "N m/rad"
+        stiffness = f"{float(hardest.stiffness):g} {unit}"
+        return f"{hardest.element} acts with a stiffness of {stiffness}: use a smaller one"
+    return ""
 
 
 def _force_name(force: Element) -> str:

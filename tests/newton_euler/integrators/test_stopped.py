@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from unittest.mock import Mock
@@ -22,7 +23,7 @@ from crosscheck.library import load
 from crosscheck.library.scene_file import write_scene
 from crosscheck.studies.faults import injection
 from crosscheck.support import time_limits as limit
-from newton_euler import PD, Body, Mechanism, Sampled, Scene
+from newton_euler import PD, Body, JointFriction, JointStop, Mechanism, Sampled, Scene, State
 from newton_euler.compiled.failures import STABILITY_LIMITS
 from newton_euler.equations.relative import Relative
 from newton_euler.integrators.options import FIXED, Options
@@ -322,3 +323,33 @@ def test_pinocchio_stops_before_the_first_output():
 
 def test_every_integrator_with_fixed_steps_has_a_limit_of_stability() -> None:
     assert STABILITY_LIMITS.keys() == set(FIXED)
+
+
+def block(force: JointFriction | JointStop, speed: float) -> Scene:
+    """A block of 2 kg on a rail, at a speed, m/s, with a push of 10 N and one force."""
+    body = Body("block", 2.0, np.zeros(3), np.eye(3))
+    rail = Prismatic("rail", "ground", "block", np.zeros(3), axis=[1.0, 0.0, 0.0])
+    mechanism = Mechanism([Body.ground(), body], [rail])
+    velocity = np.array([np.zeros(3), [speed, 0.0, 0.0]])
+    state = replace(State.initial(mechanism), linear_velocity=velocity)
+    return Scene("block", mechanism, 1.0, 0.1, [5.0, 0.0, 0.0], initial_state=state, forces=(force,))
+
+
+@pytest.mark.parametrize("simulate", [newton_euler.simulate, urdf.simulate])
+@pytest.mark.parametrize(
+    ("force", "speed", "number"),
+    [
+        # sticks after 0.2 s: 20 N less 10 N stop 2 kg of 1 m/s
+        (JointFriction("rail", 20.0, transition_speed=1e-9), 1.0, "transition_speed of 1e-09 m/s"),
+        # oscillates at the stop with 1 / sqrt(k / m) = 1 microsecond
+        (JointStop("rail", "high", 0.0, 2e12), 0.0, "stiffness of 2e+12 N/m"),
+    ],
+)
+def test_short_steps_have_the_switched_force_that_makes_them(
+    simulate: Callable[..., object], force: JointFriction | JointStop, speed: float, number: str
+) -> None:
+    with pytest.raises(IntegrationError) as caught:
+        simulate(block(force, speed), most_steps=120)
+    assert f"{force.element} " in str(caught.value)
+    assert number in str(caught.value)
+    assert "Radau" in str(caught.value)
