@@ -176,8 +176,8 @@ def write_report(folder: Path, progress: Progress) -> Path:
     if not (in_folder or in_subfolders):
         raise CrosscheckError(
             f"nothing of crosscheck's in {folder}; needed, there or at most two folders below: "
-            f"{', '.join(RESULTS)}, as run, regress, faults, stress, bench, sweep, loads, modes, "
-            "controllers, workspace, sun, year and identify write them"
+            f"{', '.join(RESULTS)}, as run, regress, faults, stress, bench, sweep, loads, drives, modes, "
+            "controllers, workspace, sun, year, identify, tune and diff write them"
         )
     check_writable(path)
 

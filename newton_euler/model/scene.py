@@ -319,9 +319,12 @@ class Scene(Variable):
         """Return the scene with its mechanism and prescribed motions only, for kinematic analyses."""
         return replace(self, control=(), forces=(), armatures=(), outputs=frozenset())
 
+    @cached_property
     def with_rigid_gears(self) -> Scene:
-        """Return the scene with a rigid gear in place of each elastic gear: without play, deflection and
-        friction."""
+        """The scene with a rigid gear in place of each elastic gear: without play, deflection and friction.
+
+        It is the same object each time, so that its compiled equations are used again.
+        """
         gears = [force for force in self.forces if isinstance(force, ElasticGear)]
         if not gears:
             return self

@@ -158,9 +158,11 @@ def missing_friction(
     # joints with control laws first, because friction of their drives is the most likely
     driven = {key for law in scene.control for key in law.keys}
     is_driven = np.array([friction.key in driven for friction in frictions])
+    tried = list[Sequence[int]]()
     for columns in (np.where(is_driven, of_friction, 0.0), of_friction):
         chosen, least = _forward_selection(target, columns, is_positive=True)
-        if least <= MAX_FIRST_ORDER * float(target @ target):
+        if least <= MAX_FIRST_ORDER * float(target @ target) and chosen not in tried:
+            tried.append(chosen)
             best = _with_friction(inputs, fitted, [frictions[k] for k in chosen], misfit)
             if best is not None:
                 break
