@@ -17,11 +17,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from newton_euler.equations.parameters import measuring
 from newton_euler.equations.relative import Relative
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
@@ -156,9 +156,7 @@ def effective_inertias(scene: Scene, keys: Collection[Key]) -> dict[Key, float]:
     Returns:
         kg of slides and kg m^2 of hinges, by joint coordinate.
     """
-    # equations have the Jacobians of coordinates on which forces act
-    forces = tuple(JointFriction(joint, 0.0, coordinate=coordinate) for joint, coordinate in keys)
-    system = Relative(replace(scene, forces=forces))
+    system = Relative(measuring(scene, keys))
     q, v = system.coordinates(initial_state(scene))
     measured = system.measured(q, v)
     free, inertia = free_motions(system, q, v)

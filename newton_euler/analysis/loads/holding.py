@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from newton_euler.analysis.linear.linearization import held_forces
 from newton_euler.analysis.loads.equilibrium import at_rest
 from newton_euler.analysis.loads.statics import statics
-from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError
 from newton_euler.model.control import DeclaredLaw
 from newton_euler.model.scene import Scene
@@ -46,9 +46,7 @@ def hold(scene: Scene, state: State) -> Scene:
     held = statics(scene, state, tuple(names))
     keys = map(scene.mechanism.coordinate, held.actuators)
     missing = dict(zip(keys, held.actuator_force.tolist(), strict=True))
-    system = Relative(scene)
-    # forces of control laws come first, then those of springs
-    for law, force in zip(laws, system.control_forces(*system.coordinates(state)), strict=True):
-        missing[law.key] -= float(force)
+    for key, force in held_forces(scene, state, time=0.0).items():
+        missing[key] -= force
     holding = [replace(law, feedforward=law.feedforward + missing.pop(law.key, 0.0)) for law in laws]
     return replace(scene, control=tuple(holding))
