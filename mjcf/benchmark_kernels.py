@@ -19,6 +19,7 @@ import numpy as np
 
 from mjcf.errors import DivergenceError, MjcfError, collected_warnings
 from mjcf.forces import wind_loads
+from mjcf.reading.start import PASSIVE_FEATURES
 from mjcf.soft import SoftMuJoCo, stiffest_solref
 from mjcf.write import controls
 from newton_euler.model.scene import Scene
@@ -38,9 +39,6 @@ UNUSED_FEATURES = (
     "AUTORESET",
 )
 """MuJoCo's features that no scene has, or that cost more time than they save."""
-
-PASSIVE_FEATURES = ("SPRING", "DAMPER")
-"""Features of MuJoCo that scenes without springs and dampers do not need."""
 
 MAX_ROLLOUT_BYTES = 32_000_000
 """Largest size, bytes, of the states of one call of `mujoco.rollout`, which stores every step."""
@@ -68,7 +66,7 @@ def compiled(scene: Scene) -> SoftMuJoCo:
     # features
     disabled = [*UNUSED_FEATURES]
     if not scene.forces:
-        disabled += PASSIVE_FEATURES
+        disabled += PASSIVE_FEATURES  # scenes without springs and dampers do not need them
     if not np.any(scene.gravity):
         disabled.append("GRAVITY")
     flags = (int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")) for name in disabled)

@@ -162,6 +162,13 @@ def test_the_deflection_stays_when_the_scene_is_described_elsewhere():
     assert np.abs(rest_of_run.position[-1] - whole.position[-1]).max() < 1e-9
 
 
+def test_rigid_gears_are_made_once():
+    """Compiled equations are kept by the scene: another one would be compiled again."""
+    scene = screw()
+    assert scene.with_rigid_gears is scene.with_rigid_gears
+    assert replace(scene, duration=1.0).with_rigid_gears.duration == 1.0
+
+
 def test_statics_take_gears_as_rigid_and_without_friction():
     """The torque that holds the weight is r m g, also at a state with play and deflection."""
     scene = screw(forward_efficiency=0.3, backward_efficiency=-0.5, play=1e-4)
