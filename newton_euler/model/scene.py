@@ -40,7 +40,7 @@ from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism
 from newton_euler.model.motions import PrescribedMotion, TimeFunction, terms
 from newton_euler.model.splines import TIME_ROUND_OFF, Spline
 from newton_euler.model.state import State
-from newton_euler.model.switched_forces import ElasticGear, SwitchedElement, SwitchedForce
+from newton_euler.model.switched_forces import ElasticGear, JointFriction, SwitchedElement, SwitchedForce
 from newton_euler.model.variable import Variable, functions_of
 from newton_euler.scalars import Array
 
@@ -318,6 +318,18 @@ class Scene(Variable):
     def without_forces(self) -> Scene:
         """Return the scene with its mechanism and prescribed motions only, for kinematic analyses."""
         return replace(self, control=(), forces=(), armatures=(), outputs=frozenset())
+
+    @cached_property
+    def with_unloaded_friction(self) -> Scene:
+        """The scene without friction that grows with reactions, which is zero at rest; the same object each
+        time."""
+        forces = tuple(
+            replace(force, load_coefficient=0.0)
+            if isinstance(force, JointFriction) and force.is_loaded
+            else force
+            for force in self.forces
+        )
+        return self if forces == self.forces else replace(self, forces=forces)
 
     @cached_property
     def with_rigid_gears(self) -> Scene:

@@ -19,6 +19,7 @@ from newton_euler.analysis.loads.states import States
 from newton_euler.arguments import checked
 from newton_euler.compiled.equations import CACHED_SCENES
 from newton_euler.compiled.inverse_dynamics import InverseDynamics, SolvedStates
+from newton_euler.equations.load_friction import loaded_frictions
 from newton_euler.errors import MechanismError, quoted
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
@@ -104,8 +105,8 @@ def inverse_dynamics(
 
     Raises:
         UnknownNameError: for an unknown joint.
-        MechanismError: naming the coordinate that cannot get any acceleration, a value that is no number, or
-            a state that does not belong to the scene.
+        MechanismError: naming the coordinate that cannot get any acceleration, a value that is no number, a
+            state that does not belong to the scene, or friction that grows with the reaction of its joint.
         SingularityError: naming the coordinate, at a state where its acceleration cannot be chosen.
 
     Examples:
@@ -115,6 +116,9 @@ def inverse_dynamics(
         >>> found.actuators, found.actuator_force.shape
         (('slide_12', 'slide_13'), (501, 2))
     """
+    for friction in loaded_frictions(scene):  # depends on the reactions, which the unknown forces change
+        value = f"load_coefficient is {float(friction.load_coefficient):g}"
+        raise MechanismError(friction.element, value, "0: inverse dynamics has only friction of known force")
     # coordinates and actuators
     mechanism = scene.mechanism
     coordinates = tuple(mechanism.coordinate(name) for name in accelerations)

@@ -62,7 +62,7 @@ def statics(
         >>> held.actuators, held.reaction_force.shape
         (('slide_12', 'slide_13'), (8, 3))
     """
-    scene = scene.with_rigid_gears
+    scene = scene.with_rigid_gears.with_unloaded_friction
     # states at rest, with prescribed motions that hold their coordinates
     given = States(scene, initial_state(scene) if states is None else states)
     given.velocities, original = None, scene

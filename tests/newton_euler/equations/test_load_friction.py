@@ -166,3 +166,24 @@ def test_a_run_whose_friction_jams_leaves_the_others_of_a_batch():
     assert set(batch.errors) == {1}
     assert "jams" in str(batch.errors[1])
     assert np.all(np.isfinite([batch[k].position for k in (0, 2, 3)]))
+
+
+def arm_in_a_loaded_bearing() -> Scene:
+    """An arm of 2 kg, whose center is 0.5 m from its bearing."""
+    arm = Body("arm", MASS, [0.5, 0.0, 0.0], 0.1 * np.eye(3))
+    bearing = Revolute("bearing", "ground", "arm", np.zeros(3), axis=[0.0, 1.0, 0.0], actuated=True)
+    return scene_of(arm, bearing, JointFriction("bearing", 0.3, load_coefficient=0.01))
+
+
+def test_statics_have_no_friction_that_grows_with_reactions():
+    """Friction is zero at rest: the torque is m g l, and the bearing carries the weight."""
+    held = newton_euler.statics(arm_in_a_loaded_bearing(), actuators=["bearing"])
+    assert abs(held.actuator_force[0]) == pytest.approx(MASS * GRAVITY * 0.5)
+    assert np.linalg.norm(held.reaction_force[0]) == pytest.approx(MASS * GRAVITY)
+
+
+def test_inverse_dynamics_refuse_friction_that_grows_with_reactions():
+    scene = arm_in_a_loaded_bearing()
+    with pytest.raises(MechanismError) as caught:
+        newton_euler.inverse_dynamics(scene, scene.initial_state, {"bearing": 1.0})
+    assert caught.value.element == scene.forces[0].element
