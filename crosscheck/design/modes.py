@@ -147,7 +147,7 @@ def analyze(
             scene = hold(scene, state)
         except MechanismError:  # nothing holds the mechanism there, as the title reports
             scene = replace(at_rest(scene), initial_state=state)
-        passed = Passage(passage(scene, [state]).coordinates, ())
+        passed = passage(scene, [state])  # of one pose: coordinates alone
     else:
         try:
             rest = settle(scene, time)
