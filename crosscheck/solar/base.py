@@ -22,7 +22,7 @@ from newton_euler.errors import choices, plain_number
 from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.runs.moving_base import HINGES, SLIDES
-from newton_euler.scalars import Array
+from newton_euler.scalars import Array, Stack, unstacked
 
 EAST = 90.0
 """Heading, degrees from north to the east, of a base that is not turned: its x axis points east."""
@@ -66,8 +66,8 @@ class Base:
         turned = np.tile(np.eye(3), (len(seconds), 1, 1))
         for name, axis in HINGES.items():  # from the world to the base: yaw, pitch, roll
             if name in self.motions:
-                function = self.motions[name]
-                turned = turned @ _turns(axis, np.array([float(function.value(time)) for time in seconds]))
+                angles = unstacked([self.motions[name].value(Stack(seconds))], len(seconds))[:, 0]
+                turned = turned @ _turns(axis, angles)
         return turned
 
     def rotation_at_rest(self) -> Array:

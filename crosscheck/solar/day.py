@@ -22,12 +22,11 @@ from crosscheck.solar.geared import Geared
 from crosscheck.solar.moves import Plan
 from crosscheck.solar.obstacles import Faced, Ways, face
 from crosscheck.solar.one_axis import MIN_ELEVATION, aim_of
-from crosscheck.solar.place import Place, Sun, day_times, sun_over
+from crosscheck.solar.place import Place, Sun, angles, day_times, sun_over
 from crosscheck.solar.set_points import check_period, check_tracker, following
 from crosscheck.solar.tracking import Tracking
 from crosscheck.solar.wind import WIND, wind_on_panel
 from newton_euler import Axis, Loads, Poses, compile_scene
-from newton_euler.analysis.kinematics.configurations import smallest_turns
 from newton_euler.analysis.loads.actuator_motions import ActuatorMotion, actuator_motions
 from newton_euler.analysis.loads.envelope import work_and_energy
 from newton_euler.model.euler_parameters import rotations
@@ -53,11 +52,6 @@ DEFAULT_TRACKING = Tracking()
 
 LEVEL_BASE = Base()
 """Base of `tracker_day` if the caller gives none: level, with x to the east."""
-
-
-def angles(one: Array, other: Array) -> Array:
-    """Compute the angles (n,) between unit vectors (n, 3), rad."""
-    return np.asarray(np.linalg.norm(smallest_turns(one, other), axis=1))
 
 
 @dataclass(frozen=True, eq=False)

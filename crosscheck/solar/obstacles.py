@@ -18,11 +18,10 @@ import numpy as np
 
 from crosscheck.solar.moves import Plan
 from crosscheck.solar.one_axis import turns_about_one_axis
-from crosscheck.solar.place import tilted
+from crosscheck.solar.place import angles, tilted
 from crosscheck.solar.tracking import UP, Tracking
 from mjcf.clearance import Closest, closest, pair_names, pairs_within
 from newton_euler import Axis, Poses, Scene, solve_poses
-from newton_euler.analysis.kinematics.configurations import smallest_turns
 from newton_euler.model.joint import Key
 from newton_euler.scalars import Array
 
@@ -227,7 +226,7 @@ class Obstacles:
         """
         assert poses.direction is not None
         ends = np.concatenate([[0], plan.target])
-        turns = np.linalg.norm(smallest_turns(poses.direction[ends[:-1]], poses.direction[ends[1:]]), axis=1)
+        turns = angles(poses.direction[ends[:-1]], poses.direction[ends[1:]])
         is_long = turns > LONG_MOVE
         first, last = ends[:-1][is_long], ends[1:][is_long]
         part = np.linspace(0.0, 1.0, WAY_POINTS)

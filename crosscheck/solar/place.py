@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from crosscheck.support.errors import CrosscheckError
+from newton_euler.analysis.kinematics.configurations import smallest_turns
 from newton_euler.errors import is_finite_number
 from newton_euler.optional_packages import optional_package
 from newton_euler.scalars import Array
@@ -104,6 +105,11 @@ def tilted(tilt: Array, azimuth: Array) -> Array:
     """
     horizontal = np.sin(tilt)
     return np.stack([horizontal * np.sin(azimuth), horizontal * np.cos(azimuth), np.cos(tilt)], axis=1)
+
+
+def angles(one: Array, other: Array) -> Array:
+    """Compute the angles (n,) between unit vectors (n, 3), rad."""
+    return np.asarray(np.linalg.norm(smallest_turns(one, other), axis=1))
 
 
 @dataclass(frozen=True, eq=False)

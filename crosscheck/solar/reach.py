@@ -18,11 +18,10 @@ from crosscheck.report.plots import own_style
 from crosscheck.report.table import Rows, Table, number_columns, text_columns
 from crosscheck.solar.geared import Geared
 from crosscheck.solar.obstacles import Cause, Obstacles
-from crosscheck.solar.place import SUN, Place, Sun, sun_over
+from crosscheck.solar.place import SUN, Place, Sun, angles, sun_over
 from crosscheck.solar.tracking import Tracking
 from crosscheck.support.palette import palette
 from newton_euler import Axis, Scene
-from newton_euler.analysis.kinematics.configurations import smallest_turns
 from newton_euler.optional_packages import optional_package
 from newton_euler.scalars import Array
 
@@ -88,7 +87,7 @@ def reach_over_year(scene: Scene, axis: Axis, place: Place, year: int, tracking:
     obstacles = Obstacles(geared.planned, axis, tracking, geared.keys)
     poses, checks = obstacles.facing(sun.direction)
     assert poses.direction is not None
-    off = np.linalg.norm(smallest_turns(poses.direction, sun.direction), axis=1)
+    off = angles(poses.direction, sun.direction)
     is_free = checks.cause == Cause.FREE
     return Reach(place, year, sun, checks.cause, np.where(is_free, off, np.nan), tracking.most_tilt)
 

@@ -10,7 +10,6 @@ tracker's panel from facing the sun.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,8 +24,9 @@ from crosscheck.report.table import (
     number_columns,
     text_columns,
 )
-from crosscheck.solar.day import MAX_DEVIATION, Day, angles
+from crosscheck.solar.day import MAX_DEVIATION, Day
 from crosscheck.solar.energy import FACING, FIXED, ONE_AXIS, THIS
+from crosscheck.solar.place import angles
 from crosscheck.solar.reach import Reach, reach_table
 from crosscheck.solar.tables import (
     actuators_table,
@@ -35,9 +35,6 @@ from crosscheck.solar.tables import (
     largest_at,
     obstacles_table,
 )
-
-if TYPE_CHECKING:
-    pass
 
 MAX_PRINTED_HOURS = 9
 """Largest number of rows of the table of a day in the terminal, so that the report has about 25 lines."""

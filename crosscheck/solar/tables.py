@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from crosscheck.report.table import Cell, Column, Rows, Table, number_columns, text_columns
-from crosscheck.solar.day import Day, angles
+from crosscheck.solar.day import Day
 from crosscheck.solar.obstacles import Cause, Checks
+from crosscheck.solar.place import angles
 from newton_euler.scalars import Array
 
 NEGLIGIBLE_ERROR = 5e-5

@@ -265,7 +265,7 @@ def tracker_year(
         raise CrosscheckError(f"{weather.source}: the sun never rises")
     wind = None if tracking.stow == np.inf else weather.complete("wind", "--stow")
     stowed = tracking.stows(wind, len(lit))
-    wanted = _wanted(weather, tracking, base, stowed)[lit]
+    wanted = _wanted(weather, sun, tracking, base, stowed)[lit]
     # poses of directions that differ from those before
     changes = np.append(True, np.any(np.diff(wanted, axis=0) != 0.0, axis=1))
     found = _found_poses(scene, axis, wanted[changes], tracking, strokes or {})
@@ -396,13 +396,14 @@ def _seconds(weather: Weather) -> Array:
     return 3600.0 * weather.step * (np.arange(len(weather.times)) + 0.5)
 
 
-def _wanted(weather: Weather, tracking: Tracking, base: Base, stowed: Array) -> Array:
+def _wanted(weather: Weather, sun: Sun, tracking: Tracking, base: Base, stowed: Array) -> Array:
     """Compute the wanted directions (n, 3) of the panel's normal in the axes of the base.
 
     With a dead band, the panel moves several times in an interval, and waits at night.
 
     Args:
         weather: weather of n intervals.
+        sun: positions of the sun in the intervals.
         tracking: rules of tracking.
         base: motion of the base.
         stowed: (n,) True where the panel lies flat because of the wind.
@@ -413,7 +414,8 @@ def _wanted(weather: Weather, tracking: Tracking, base: Base, stowed: Array) -> 
     pd = optional_package("pandas", SUN)
     repeated = weather.times.repeat(count) + pd.to_timedelta(np.tile(shifts, len(stowed)), unit="h")
     seconds = (_seconds(weather)[:, None] + 3600.0 * shifts).ravel()
-    sun = sun_over(weather.place, repeated)
+    if count > 1:
+        sun = sun_over(weather.place, repeated)
     wanted = tracking.towards(base.sun(sun, seconds))
     stowed = np.repeat(stowed, count)
     wanted[stowed] = UP
