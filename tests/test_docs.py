@@ -84,7 +84,14 @@ def test_links_to_files_lead_to_files(page):
     assert [target for target in targets if not (ROOT / target).exists()] == []
 
 
-@pytest.mark.parametrize("page", having("python"))
+LONG = ("docs/how_to/logs.md", "docs/how_to/identification.md")
+"""Pages whose code takes 6 to 8 s. Tests of logs and of identification do the same with shorter runs."""
+
+
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(page, marks=pytest.mark.slow) if page in LONG else page for page in having("python")],
+)
 def test_python_runs(page, folder):
     assert execute(page, folder).keys() - {"__builtins__"}, "no block of the page defines anything"
 

@@ -135,6 +135,7 @@ def test_docstrings_have_examples_that_run(package, name, tmp_path, monkeypatch)
     assert sum(failed) == 0, "".join(said)
 
 
+@pytest.mark.slow  # 20 s; `make lint` checks the types of the packages
 def test_examples_pass_strict_type_checks_where_the_packages_are_installed(tmp_path):
     """Each in a function of a script outside of the repository, from which mypy follows the installation."""
     script = IMPORTS + TYPED

@@ -102,7 +102,7 @@ def is_chi_squared(squares, count):
     return chi2.ppf(RARE, count) < squares < chi2.isf(RARE, count)
 
 
-@pytest.mark.parametrize("make", [tracker, four_bar])
+@pytest.mark.parametrize("make", [tracker, pytest.param(four_bar, marks=pytest.mark.slow)])
 def test_ten_parameters_are_recovered_within_their_uncertainty(make):
     """Sums of chi squared of ten are distributed as chi squared of their number."""
     trials = 3

@@ -165,7 +165,17 @@ def printed(capsys, monkeypatch, files, *arguments):
 
 @pytest.mark.parametrize(
     ("name", "cause"),
-    [("six_bar.yaml", cause) for cause in MODELS] + [("six_bar.xml", "axis"), ("six_bar.xml", "damping")],
+    [
+        # 2 to 4 s each; the slow ones have their cause in the other kind of file
+        *(
+            pytest.param("six_bar.yaml", cause, marks=pytest.mark.slow)
+            if "damp" in cause
+            else ("six_bar.yaml", cause)
+            for cause in MODELS
+        ),
+        pytest.param("six_bar.xml", "axis", marks=pytest.mark.slow),
+        ("six_bar.xml", "damping"),
+    ],
 )
 def test_the_engine_with_a_wrong_model_and_what_is_wrong_in_it_are_named(
     capsys, monkeypatch, files, name, cause

@@ -76,7 +76,9 @@ def test_view_in_a_browser_says_where_and_takes_ports_that_are_free(capsys, view
     assert ports == f"rerun%2Bhttp%3A%2F%2Flocalhost%3A{arguments[9]}%2Fproxy"
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, signal.SIGTERM, pytest.param(signal.SIGHUP, marks=pytest.mark.slow)]
+)
 def test_a_viewer_and_its_children_end_with_the_command(viewer, number):
     (viewer.parent / "viewer").write_text("#!/bin/sh\nsleep 60 &\nsleep 2\necho shown\nwait\n")
     code = (

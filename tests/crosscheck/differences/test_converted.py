@@ -22,7 +22,7 @@ from crosscheck.loading.convert import scene_report, write_as
 from crosscheck.loading.load import load_scene
 from urdf.robot import describe
 
-FAST = ("tracker", "pendulum", "four_bar", "bricard", "stewart", "free_top")
+FAST = ("tracker", "pendulum", "four_bar", "bricard", "free_top")
 
 LOST = {
     # a URDF has no springs of joints and between points

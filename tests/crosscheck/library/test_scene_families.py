@@ -219,7 +219,11 @@ def test_windows_pass_flat_ten_times(windows):
 
 @pytest.mark.parametrize(
     ("windows", "simulate"),
-    [*((n, newton_euler.simulate) for n in (1, 2, 10)), *((n, urdf.simulate) for n in (1, 2))],
+    [
+        *((n, newton_euler.simulate) for n in (1, 2)),
+        pytest.param(10, newton_euler.simulate, marks=pytest.mark.slow),
+        *((n, urdf.simulate) for n in (1, 2)),
+    ],
 )
 def test_windows_start_flat(windows, simulate):
     """From a singular configuration, where the constraints in use cannot be told from its own Jacobian."""

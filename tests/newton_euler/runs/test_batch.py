@@ -85,7 +85,8 @@ def test_threads_change_nothing(short, tracker_states):
     assert all(same(a, b) for a, b in zip(one, three, strict=True))
 
 
-@pytest.mark.parametrize("formulation", ["relative", "cartesian"])
+# 5 s to compile the tracker in Cartesian form; test_varied_geometry.py has smaller scenes
+@pytest.mark.parametrize("formulation", ["relative", pytest.param("cartesian", marks=pytest.mark.slow)])
 def test_parameters_are_those_of_a_scene_made_with_them(short, formulation):
     inertia = 1.5 * short.mechanism.bodies[6].inertia
     values = {"panel_7.mass": 30.0, "panel_7.inertia": inertia, "gravity": [0.0, 0.5, -9.0]}

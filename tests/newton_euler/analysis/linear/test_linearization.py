@@ -211,7 +211,11 @@ MOVING = [
 """Scenes and coordinates, of which some are on joints that the tree cuts."""
 
 
-@pytest.mark.parametrize(("name", "names"), MOVING)
+@pytest.mark.parametrize(
+    ("name", "names"),
+    # 4 s; the tracker has cut loops, too
+    [pytest.param(*each, marks=pytest.mark.slow) if each[0] == "stewart" else each for each in MOVING],
+)
 def test_a_is_the_finite_difference_of_accelerations_in_motion(name, names):
     scene = load(name)
     (state,) = random_states(scene, 1, seed=3)
@@ -308,7 +312,7 @@ def sprung_four_bar() -> Scene:
 SMALL = [
     (lightly_damped_tracker, ("slide_12", "slide_13"), 0.02, (1e-5, 5e-6)),
     (sprung_four_bar, ("pivot_0",), 0.2, (1e-3, 5e-4)),
-    (lambda: load("stewart"), LEGS, 0.15, (1e-4,)),
+    pytest.param(lambda: load("stewart"), LEGS, 0.15, (1e-4,), marks=pytest.mark.slow),  # 4 s
 ]
 """Scene, coordinates, span (s, less than half a period) and amplitudes (m or rad)."""
 

@@ -168,8 +168,8 @@ def moved(values, directions):
     return {name: np.array([value + s * way[name] for s, way in ways]) for name, value in values.items()}
 
 
-QUICK = ("light body", "coupling")
-"""Scenes whose Cartesian form is tested with the fast tests; it takes 2 to 10 s to compile."""
+QUICK = ("coupling",)
+"""Scenes whose Cartesian form is tested with the fast tests; others take 2 to 10 s to compile."""
 
 CASES = [
     *((name, "relative") for name in SCENES),
