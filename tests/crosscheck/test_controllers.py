@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import csv_rows, run
 from mechanisms import mass_on_rail
 
 from crosscheck.design.controllers import performance
@@ -58,7 +57,7 @@ def test_the_table_has_a_row_per_controller_and_engine(capsys, tmp_path):
     # the same numbers in both files, with all digits
     content = json.loads((tmp_path / "controllers.json").read_text())
     assert (content["source"], content["options"]) == ("tracker_computed_torque", {})
-    written = list(csv.DictReader((tmp_path / "controllers.csv").open()))
+    written = csv_rows(tmp_path / "controllers.csv")
     assert [{name: str(value) for name, value in row.items()} for row in content["runs"]] == written
     assert {row["controller"]: f"{float(row['error_rms']):.3g}" for row in written} == {
         name: f"{error:.3g}" for name, error in errors.items()

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import csv_rows, run
 
 from crosscheck.design.drive_catalog import COLUMNS, read_catalog
 from crosscheck.design.drive_plots import BINS, SPEED_BINS, drive_figure, envelope
@@ -33,11 +32,6 @@ def catalog(tmp_path: Path, text: str) -> str:
     return str(path)
 
 
-def rows(path: Path) -> list[dict[str, str]]:
-    with path.open() as file:
-        return list(csv.DictReader(file))
-
-
 def test_a_motion_and_the_example(capsys, monkeypatch, tmp_path):
     """Results in files and tables, the page, and the same numbers from the written motion."""
     monkeypatch.setenv("COLUMNS", "80")
@@ -47,7 +41,7 @@ def test_a_motion_and_the_example(capsys, monkeypatch, tmp_path):
     assert (status, err) == (0, "")
     assert out.splitlines()[1] == "each actuator has a drive that suits it"
     assert max(len(line) for line in out.splitlines() if "/" not in line) <= 80
-    table = rows(folder / "drives.csv")
+    table = csv_rows(folder / "drives.csv")
     assert {row["actuator"] for row in table} == {"lift"}
     assert len(table) == len(read_catalog(str(CATALOG)))
     suits = {row["drive"] for row in table if row["suits"] == "1"}
@@ -55,14 +49,14 @@ def test_a_motion_and_the_example(capsys, monkeypatch, tmp_path):
     assert {row["fails"] for row in table if row["drive"] == "worm gear"} == {"no screw"}
     # the first limit with a negative margin is named
     for row in table:
-        of_drive = [each for each in rows(folder / "limits.csv") if each["drive"] == row["drive"]]
+        of_drive = [each for each in csv_rows(folder / "limits.csv") if each["drive"] == row["drive"]]
         failing = [each["name"] for each in of_drive if float(each["margin"]) < 0.0]
         assert row["fails"] in (failing[:1] or ["", "no screw"])
         for each in of_drive:
             margin = 1.0 - float(each["needed"]) / float(each["allowed"])
             assert float(each["margin"]) == pytest.approx(margin, rel=1e-12)
     assert "required: no margin to limits (--margin)" in " ".join(out.split())
-    (demand,) = rows(folder / "demand.csv")
+    (demand,) = csv_rows(folder / "demand.csv")
     assert (demand["unit"], float(demand["peak_force"])) == ("N", 10.0)
     assert float(demand["stroke"]) == pytest.approx(0.3)
     content = json.loads((folder / "drives.json").read_text())
@@ -75,7 +69,7 @@ def test_a_motion_and_the_example(capsys, monkeypatch, tmp_path):
     again = tmp_path / "again"
     arguments = ("drives", folder / "motion.csv", "--catalog", CATALOG, "--output", again)
     assert run(capsys, *arguments)[0] == 0
-    assert rows(again / "limits.csv") == rows(folder / "limits.csv")
+    assert csv_rows(again / "limits.csv") == csv_rows(folder / "limits.csv")
 
 
 def test_envelopes_of_long_motions():
@@ -106,16 +100,23 @@ def test_a_day_of_moves_is_drawn_as_an_envelope():
 
 def test_drives_of_a_scene(capsys, tmp_path):
     """The two sliders of the tracker; requirements of the user make other drives fail, and the status 5."""
-    common = ("drives", "tracker_wind", "--set", "wind=steady", "--catalog", CATALOG, "--output", tmp_path)
-    assert run(capsys, *common)[0] == 0
-    assert {row["actuator"] for row in rows(tmp_path / "drives.csv")} == {"slide_12", "slide_13"}
-    chosen = {row["drive"] for row in rows(tmp_path / "drives.csv") if row["suits"] == "1"}
+    motion = tmp_path / "motion"
+    given = ("drives", "tracker_wind", "--set", "wind=steady", "--catalog", CATALOG, "--output", motion)
+    assert run(capsys, *given)[0] == 0
+    # with the written motion, which is the same, nothing is simulated again
+    common = ("drives", motion / "motion.csv", "--catalog", CATALOG, "--output", tmp_path / "out")
+    assert {row["actuator"] for row in csv_rows(motion / "drives.csv")} == {"slide_12", "slide_13"}
+    chosen = {row["drive"] for row in csv_rows(motion / "drives.csv") if row["suits"] == "1"}
     assert "small Tr8x6" in chosen
     assert run(capsys, *common, "--must-hold")[0] == 0
-    failed = {row["drive"]: row["fails"] for row in rows(tmp_path / "drives.csv") if row["suits"] == "0"}
+    failed = {
+        row["drive"]: row["fails"] for row in csv_rows(tmp_path / "out" / "drives.csv") if row["suits"] == "0"
+    }
     assert failed["small Tr8x6"] == "holding"
     assert run(capsys, *common, "--margin", "40%")[0] == 0
-    failed = {row["drive"]: row["fails"] for row in rows(tmp_path / "drives.csv") if row["suits"] == "0"}
+    failed = {
+        row["drive"]: row["fails"] for row in csv_rows(tmp_path / "out" / "drives.csv") if row["suits"] == "0"
+    }
     assert failed["small Tr8x1.5"] == "motor speed"
     status, out, _ = run(capsys, *common, "--margin", "99.9%")
     assert (status, "no drive suits slide_12, slide_13" in out) == (5, True)

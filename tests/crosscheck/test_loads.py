@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import csv_rows, run
 from plate_coefficients import blended
 
 from crosscheck.design.load_plots import load_figure
@@ -34,8 +33,7 @@ EXAMPLE = str(Path(__file__).parents[2] / "examples" / "four_bar.yaml")
 
 
 def ranges(folder: Path) -> dict[tuple[str, str], dict[str, str]]:
-    with (folder / "loads.csv").open() as file:
-        return {(row["element"], row["quantity"]): row for row in csv.DictReader(file)}
+    return {(row["element"], row["quantity"]): row for row in csv_rows(folder / "loads.csv")}
 
 
 def lines_of(out: str, title: str) -> dict[str, list[str]]:
@@ -78,8 +76,7 @@ def test_every_case_is_in_all_results(capsys, tmp_path):
     arguments = ("--at-rest", "--set", "wind=steady", *cases, "--output", tmp_path)
     status, out, _ = run(capsys, "loads", "tracker_wind", *arguments)
     assert status == 0
-    with (tmp_path / "cases.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows = csv_rows(tmp_path / "cases.csv")
     envelope = ranges(tmp_path)
     assert len(rows) == 3 * len(envelope)
     assert {row["case"] for row in rows} == {"weak", "calm", "strong"}

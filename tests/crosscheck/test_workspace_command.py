@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import json
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import csv_rows, run
 from PIL import Image
 
 from crosscheck.design import workspace as design
@@ -46,7 +45,7 @@ def test_workspace_prints_a_table_and_writes_a_picture_and_rows(capsys, tmp_path
     assert "reachable" in out
     assert json.loads((tmp_path / "workspace.json").read_text())["without_collision"] == 35
     assert (tmp_path / "workspace.png").read_bytes().startswith(b"\x89PNG")
-    rows = list(csv.DictReader((tmp_path / "workspace.csv").open()))
+    rows = csv_rows(tmp_path / "workspace.csv")
     assert f"{len(rows)} of 35" in out
     assert {"slide_12, m", "elevation, deg", "azimuth, deg", "distance from singular", "clearance, m"} <= set(
         rows[0]
@@ -122,7 +121,7 @@ def test_a_point_in_a_plane_has_extents_extremes_and_results_to_take_away(capsys
     assert (tmp_path / "workspace.png").read_bytes().startswith(b"\x89PNG")
     angles = np.linspace(-2.0, 2.0, 9)
     expected = {"x, m": 0.5 - np.sin(angles), "y, m": np.cos(angles), "z, m": np.zeros(9)}
-    rows = list(csv.DictReader((tmp_path / "workspace.csv").open()))
+    rows = csv_rows(tmp_path / "workspace.csv")
     for name, values in expected.items():
         np.testing.assert_allclose([float(row[name]) for row in rows], values, atol=1e-8)
     beyond = [float(row["beyond singular"]) for row in rows]

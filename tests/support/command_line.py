@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import os
 import subprocess
 import sys
@@ -41,6 +42,12 @@ def scene_file(folder, content, name="scene.yaml"):
     path = folder / name
     path.write_text(content if isinstance(content, str) else yaml.dump(content, Dumper=NoAliases))
     return path
+
+
+def csv_rows(path):
+    """Rows of a CSV file, cells by the name of their column."""
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
 
 
 def check_refused(capsys, tmp_path, *arguments, message):

@@ -83,15 +83,19 @@ def epw(zone=0.0, comment="synthetic", shift=0.5):
     return "\n".join(lines) + "\n", data
 
 
-def pvgis_typical(offset=0.1761):
-    """CSV of PVGIS, typical year: UTC, and the sky is that `offset` hours after the time stamp."""
+OFFSET = 0.1761
+"""Hours from the time stamps of PVGIS's typical year to its sky."""
+
+
+def pvgis_typical():
+    """CSV of PVGIS, typical year: UTC, and the sky is that `OFFSET` hours after the time stamp."""
     begins = typical_hours("UTC", (2012, 2007))
-    data = sky(begins + pd.Timedelta(hours=offset))
+    data = sky(begins + pd.Timedelta(hours=OFFSET))
     lines = [
         f"Latitude (decimal degrees): {LATITUDE:.3f}",
         f"Longitude (decimal degrees): {LONGITUDE:.3f}",
         f"Elevation (m): {ALTITUDE}",
-        f"Irradiance Time Offset (h): {offset:.4f}",
+        f"Irradiance Time Offset (h): {OFFSET:.4f}",
         "month,year",
         *(f"{month},2012" for month in range(1, 13)),
         "time(UTC),T2m,RH,G(h),Gb(n),Gd(h),IR(h),WS10m,WD10m,SP",
@@ -103,14 +107,14 @@ def pvgis_typical(offset=0.1761):
     return "\r\n".join(lines) + "\r\n", data
 
 
-def pvgis_typical_json(offset=0.1761):
+def pvgis_typical_json():
     """JSON of PVGIS, typical year, with the content of `pvgis_typical`."""
-    text, data = pvgis_typical(offset)
+    text, data = pvgis_typical()
     rows = [line.split(",") for line in text.split("\r\n")[18 : 18 + HOURS]]
     names = ["time(UTC)", "T2m", "RH", "G(h)", "Gb(n)", "Gd(h)", "IR(h)", "WS10m", "WD10m", "SP"]
     place = {"latitude": LATITUDE, "longitude": LONGITUDE, "elevation": ALTITUDE}
     content = {
-        "inputs": {"location": {**place, "irradiance_time_offset": offset}},
+        "inputs": {"location": {**place, "irradiance_time_offset": OFFSET}},
         "outputs": {
             "months_selected": [{"month": month, "year": 2012} for month in range(1, 13)],
             "tmy_hourly": [dict(zip(names, [row[0], *map(float, row[1:])], strict=True)) for row in rows],

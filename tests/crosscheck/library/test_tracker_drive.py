@@ -28,10 +28,16 @@ def test_the_screws_hold_the_panel_without_motors():
     assert drops[1] > 2.0 * drops[0]
 
 
-def test_motors_need_the_force_on_the_slider_over_the_efficiency_of_the_screw():
-    """At half the first stroke, raising at constant speed but for the sine's small acceleration."""
+@pytest.fixture(scope="module")
+def driven():
+    """The scene without play, and its run."""
     scene = load("tracker_drive", play=0.0)
-    run = newton_euler.simulate(scene)
+    return scene, newton_euler.simulate(scene)
+
+
+def test_motors_need_the_force_on_the_slider_over_the_efficiency_of_the_screw(driven):
+    """At half the first stroke, raising at constant speed but for the sine's small acceleration."""
+    scene, run = driven
     row = 62  # 0.62 s: a quarter of the second slider's period, its fastest motion upwards
     state = run.state(row)
     held = statics(replace(scene, forces=(), control=()), state, ["slide_12", "slide_13"])
@@ -42,10 +48,9 @@ def test_motors_need_the_force_on_the_slider_over_the_efficiency_of_the_screw():
     assert run.actuator_force[row, 1] == pytest.approx(torque, rel=0.01)
 
 
-def test_sizing_of_drives_gives_the_torque_of_the_simulated_motors():
+def test_sizing_of_drives_gives_the_torque_of_the_simulated_motors(driven):
     """Raised and lowered, also against the self-locking screws; at both ends of a stroke the nuts vibrate."""
-    scene = load("tracker_drive", play=0.0)
-    run = newton_euler.simulate(scene)
+    scene, run = driven
     names = ["slide_12", "slide_13", "motor_2", "motor_3"]
     rates = {name: run.joint(name).rates[:, 0] for name in names}
     accelerations = {name: np.gradient(rate, run.time, edge_order=2) for name, rate in rates.items()}

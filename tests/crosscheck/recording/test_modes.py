@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import csv_rows, run
 from rerun.chunk import RrdReader
 
 from crosscheck.design.modes import analyze, data, stability, table, to_csv
@@ -42,7 +41,7 @@ def test_result_files_have_all_numbers_and_a_page(capsys, tmp_path):
     assert content["about"] == "pose"
     assert content["branch"] == {"coordinates": ["pivot"], "passed": 0, "passing_times": [], "beyond": False}
     assert content["pose"]["coordinates"]["pivot"] == pytest.approx(0.4, abs=1e-12)
-    rows = list(csv.DictReader((tmp_path / "modes.csv").open()))
+    rows = csv_rows(tmp_path / "modes.csv")
     assert len(rows) == len(content["modes"]) == 2  # one grows, one decays: the crank falls
     row, mode = rows[1], content["modes"][1]
     assert float(row["eigenvalue real, 1/s"]) == pytest.approx(mode["eigenvalue"][0], rel=1e-8)

@@ -15,8 +15,6 @@ from crosscheck.solar.tracking import Tracking
 from mjcf.clearance import clearances, closest
 from newton_euler import PD, Axis, Body, Box, Fixed, Mechanism, Revolute, Scene, solve_poses
 
-pytest.importorskip("pvlib")
-
 KEYS = [("slide_12", 0), ("slide_13", 0)]
 TRACKING = Tracking(most_tilt=60.0)
 BLOCKED = tilted(np.radians([36.0, 45.0, 60.0]), np.radians([257.0, 262.0, 268.0]))

@@ -1,11 +1,11 @@
 """Trackers of one axis and other scenes: the rows of pvlib, closed forms, result files and pages."""
 
-import csv
 import json
 
 import numpy as np
+import pvlib
 import pytest
-from command_line import run
+from command_line import csv_rows, run
 
 import mjcf
 from crosscheck.report.page import write_report
@@ -16,8 +16,6 @@ from crosscheck.solar.tracking import Tracking
 from newton_euler import Axis
 from newton_euler.analysis.loads.actuator_motions import demand
 from newton_euler.analysis.loads.motion_files import read_motions
-
-pvlib = pytest.importorskip("pvlib")
 
 SEVILLE, DATE = Place(37.4, -6.0), "2026-06-21"
 MASS, HEIGHT, G = 30.0, 0.1, 9.81
@@ -139,8 +137,7 @@ def results(model, tmp_path_factory):
 
 def test_set_points_and_forces_are_in_a_table(results):
     """The torque that holds the panel is that of its weight: the center of mass is above the tube."""
-    with open(results / "set_points.csv") as file:
-        rows = list(csv.DictReader(file))
+    rows = csv_rows(results / "set_points.csv")
     assert len(rows) == 25
     angle, holding = (
         np.array([float(row[name]) for row in rows]) for name in ("tube_rad", "tube_holding_N_m")

@@ -5,6 +5,8 @@ import io
 import json
 
 import numpy as np
+import pandas as pd
+import pvlib
 import pytest
 from command_line import run
 
@@ -18,9 +20,6 @@ from crosscheck.solar.report import DAY_FILES, REACH_FILES, day_report
 from crosscheck.solar.results import write_day
 from crosscheck.solar.tracking import Tracking
 from newton_euler import Axis
-
-pd = pytest.importorskip("pandas")
-pvlib = pytest.importorskip("pvlib")
 
 PLACE, YEAR = Place(37.4, -6.0), 2026
 
@@ -55,11 +54,17 @@ def scene_of(folder, text):
     return mjcf.read(path).scene
 
 
-@pytest.fixture
-def few_hours(monkeypatch):
+@pytest.fixture(scope="module")
+def few_hours():
     """Every 53rd hour of the year, so that all times of day and of the year are among them."""
     date_range = pd.date_range
-    monkeypatch.setattr(pd, "date_range", lambda *given, **named: date_range(*given, **named)[::53])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pd, "date_range", lambda *given, **named: date_range(*given, **named)[::53])
+        yield sun_of_few_hours(date_range)
+
+
+def sun_of_few_hours(date_range):
+    """Positions of the sun above the horizon, by an own call of pvlib."""
     times = date_range("2026-01-01", "2027-01-01", freq="h", inclusive="left", tz="UTC")[::53]
     found = pvlib.solarposition.get_solarposition(times, PLACE.latitude, PLACE.longitude)
     return found[found["apparent_elevation"] > 0.0]
@@ -93,9 +98,14 @@ def test_rows_leave_the_angle_of_incidence_of_pvlib(tmp_path, few_hours):
     assert (reach.cause == Cause.FREE).all()
 
 
-def test_the_library_s_tracker_reaches_a_part(few_hours):
+@pytest.fixture(scope="module")
+def reach(few_hours):
+    """What the library's tracker reaches."""
+    return reach_over_year(sun_tracker(), PANEL_NORMAL, PLACE, YEAR, Tracking())
+
+
+def test_the_library_s_tracker_reaches_a_part(few_hours, reach):
     """The reach ends between 33 and 60 degrees of tilt, depending on azimuth."""
-    reach = reach_over_year(sun_tracker(), PANEL_NORMAL, PLACE, YEAR, Tracking())
     tilt = few_hours["apparent_zenith"].to_numpy()
     assert (reach.cause[tilt < 33.0] == Cause.FREE).all()
     assert (reach.cause[tilt > 70.0] != Cause.FREE).mean() > 0.3
@@ -108,10 +118,9 @@ def test_the_library_s_tracker_reaches_a_part(few_hours):
     assert len(reach_picture(reach).axes[0].lines) == len(counts) + 1
 
 
-def test_the_year_is_beside_the_day(tmp_path, few_hours):
+def test_the_year_is_beside_the_day(tmp_path, reach):
     scene = sun_tracker()
     day = tracker_day(scene, PANEL_NORMAL, PLACE, f"{YEAR}-06-21", period=7200.0)
-    reach = reach_over_year(scene, PANEL_NORMAL, PLACE, YEAR, Tracking())
     paths = [tmp_path / name for name in (*DAY_FILES, *REACH_FILES)]
     report = day_report(day, reach)
     assert write_day(day, report, paths, "tracker_sun", {}, reach) == paths

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from command_line import run
 
@@ -18,9 +19,6 @@ from crosscheck.solar.wind import wind_over_day
 from crosscheck.support.errors import CrosscheckError
 from newton_euler import Sampled, solve_poses
 from newton_euler.model.source_file import SourceError
-
-pd = pytest.importorskip("pandas")
-pytest.importorskip("pvlib")
 
 EQUATOR = Place(0.0, 0.0)
 
@@ -95,10 +93,14 @@ def test_backtracking_leaves_the_next_row_in_the_sun(sun):
     assert np.max(between(normals[up][free], sun.direction[up][free])) < 1e-9
 
 
-def test_panels_lie_flat_in_storms(sun):
+@pytest.mark.parametrize("deadband", [0.0, 40.0])
+def test_panels_lie_flat_in_storms(sun, deadband):
+    """From a tilt of 30 degrees and back; in a dead band of 40 degrees only the wind moves the panel."""
     wind = np.zeros(len(sun.times))
     wind[100:110] = 25.0
-    assert np.array_equal(Tracking(stow=20.0).normals(sun, wind)[100:110], np.tile([0.0, 0.0, 1.0], (10, 1)))
+    normals = Tracking(deadband=deadband, stow=20.0).normals(sun, wind)
+    assert np.array_equal(normals[100:110], np.tile([0.0, 0.0, 1.0], (10, 1)))
+    assert np.degrees(np.arccos(normals[[99, 110], 2])) == pytest.approx([30.0, 30.0])
 
 
 def test_a_windy_day_is_told_of(tmp_path):
@@ -252,7 +254,15 @@ def test_a_sun_that_does_not_rise():
 
 
 @pytest.mark.parametrize(
-    "value", [{"most_tilt": 120.0}, {"deadband": -1.0}, {"pitch": 0.5}, {"stow": float("nan")}]
+    "value",
+    [
+        {"most_tilt": 120.0},
+        {"deadband": -1.0},
+        {"pitch": 0.5},
+        {"stow": float("nan")},
+        {"speed": 0.0},
+        {"acceleration": 0.0},
+    ],
 )
 def test_trackings_that_are_none(value):
     (name,) = value

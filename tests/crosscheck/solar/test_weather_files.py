@@ -3,18 +3,16 @@
 import json
 
 import numpy as np
+import pandas as pd
+import pvlib
 import pytest
+import synthetic_weather as synthetic
 
-pd = pytest.importorskip("pandas")
-pvlib = pytest.importorskip("pvlib")
-
-import synthetic_weather as synthetic  # noqa: E402
-
-from crosscheck.solar.place import Place  # noqa: E402
-from crosscheck.solar.weather import clear_sky  # noqa: E402
-from crosscheck.solar.weather_files import read_weather  # noqa: E402
-from crosscheck.support.errors import CrosscheckError  # noqa: E402
-from newton_euler.model.source_file import SourceError  # noqa: E402
+from crosscheck.solar.place import Place
+from crosscheck.solar.weather import clear_sky
+from crosscheck.solar.weather_files import read_weather
+from crosscheck.support.errors import CrosscheckError
+from newton_euler.model.source_file import SourceError
 
 PLACE = Place(synthetic.LATITUDE, synthetic.LONGITUDE, synthetic.ALTITUDE)
 

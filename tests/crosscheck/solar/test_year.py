@@ -1,29 +1,26 @@
 """A year of solar tracking: irradiation against calls of pvlib, limits, modules, bases that are not level."""
 
-import csv
 import json
 import re
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
+import pvlib
 import pytest
-from command_line import run
+import synthetic_weather as synthetic
+from command_line import csv_rows, run
 
-pd = pytest.importorskip("pandas")
-pvlib = pytest.importorskip("pvlib")
-
-import synthetic_weather as synthetic  # noqa: E402
-
-from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker  # noqa: E402
-from crosscheck.solar.base import Base, base_of, following_on_base  # noqa: E402
-from crosscheck.solar.day import tracker_day  # noqa: E402
-from crosscheck.solar.energy import FACING, FIXED, FLAT, ONE_AXIS, THIS  # noqa: E402
-from crosscheck.solar.place import Place  # noqa: E402
-from crosscheck.solar.tracking import Tracking  # noqa: E402
-from crosscheck.solar.weather import Weather, check_place  # noqa: E402
-from crosscheck.solar.year import FLAT_ON_BASE, Limit, Module, stroke_of, tracker_year  # noqa: E402
-from crosscheck.support.errors import CrosscheckError  # noqa: E402
-from newton_euler import (  # noqa: E402
+from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker
+from crosscheck.solar.base import Base, base_of, following_on_base
+from crosscheck.solar.day import tracker_day
+from crosscheck.solar.energy import FACING, FIXED, FLAT, ONE_AXIS, THIS
+from crosscheck.solar.place import Place
+from crosscheck.solar.tracking import Tracking
+from crosscheck.solar.weather import Weather, check_place
+from crosscheck.solar.year import FLAT_ON_BASE, Limit, Module, stroke_of, tracker_year
+from crosscheck.support.errors import CrosscheckError
+from newton_euler import (
     Axis,
     Body,
     Cylinder,
@@ -440,10 +437,7 @@ def test_the_command_writes_what_it_prints(tmp_path, capsys):
     status, printed, _ = run(capsys, *given)
     assert status == 0
     content = json.loads((out / "year.json").read_text())
-    with (out / "hours.csv").open() as stream:
-        hours = list(csv.DictReader(stream))
-    with (out / "months.csv").open() as stream:
-        months = list(csv.DictReader(stream))
+    hours, months = csv_rows(out / "hours.csv"), csv_rows(out / "months.csv")
     total = sum(float(row["this_tracker_W_per_m2"]) for row in hours) / 1000.0
     assert content["irradiation"][THIS] == pytest.approx(total, rel=1e-6)
     assert sum(float(row["this tracker kWh/m^2"]) for row in months) == pytest.approx(total, rel=1e-5)
