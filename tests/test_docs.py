@@ -84,8 +84,14 @@ def test_links_to_files_lead_to_files(page):
     assert [target for target in targets if not (ROOT / target).exists()] == []
 
 
-LONG = ("docs/how_to/logs.md", "docs/how_to/identification.md")
-"""Pages whose code takes 6 to 8 s. Tests of logs and of identification do the same with shorter runs."""
+LONG = (
+    "docs/how_to/identification.md",
+    "docs/how_to/logs.md",
+    "docs/how_to/moving_base.md",
+    "docs/reference/python.md",
+    "docs/results/tolerances.md",
+)
+"""Pages whose code takes 6 to 10 s. Tests of their subjects and of docstrings do the same in shorter runs."""
 
 
 @pytest.mark.parametrize(
