@@ -355,7 +355,7 @@ def test_a_day_on_a_base_that_leans():
 
 def test_set_points_face_the_sun_from_a_moving_base():
     """Simulated: the panel follows a fixed direction while its base rolls by 6 degrees and turns by 20."""
-    period, count = 0.25, 25
+    period, count = 0.25, 13
     towards = np.array([0.2, -0.25, 1.0]) / np.linalg.norm([0.2, -0.25, 1.0])
     base = Base({"roll": Sine(0.1, 0.8), "yaw": Sine(0.35, 0.3), "heave": Sine(0.05, 0.8)})
     scene, poses = following_on_base(sun_tracker(), PANEL_NORMAL, np.tile(towards, (count, 1)), base, period)
