@@ -4,26 +4,24 @@ import re
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
-pd = pytest.importorskip("pandas")
-pytest.importorskip("pvlib")
-
-from crosscheck.library import load  # noqa: E402
-from crosscheck.library.tracker_drive import RATIO  # noqa: E402
-from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker  # noqa: E402
-from crosscheck.solar.base import Base, following_on_base  # noqa: E402
-from crosscheck.solar.day import REST_RATE, tracker_day  # noqa: E402
-from crosscheck.solar.geared import Geared  # noqa: E402
-from crosscheck.solar.obstacles import Cause  # noqa: E402
-from crosscheck.solar.place import Place, tilted  # noqa: E402
-from crosscheck.solar.reach import reach_over_year  # noqa: E402
-from crosscheck.solar.report import day_report, zeros  # noqa: E402
-from crosscheck.solar.tracking import Tracking  # noqa: E402
-from crosscheck.solar.weather import Weather  # noqa: E402
-from crosscheck.solar.year import Limit, tracker_year  # noqa: E402
-from crosscheck.support.errors import CrosscheckError  # noqa: E402
-from newton_euler import compile_scene  # noqa: E402
+from crosscheck.library import load
+from crosscheck.library.tracker_drive import RATIO
+from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker
+from crosscheck.solar.base import Base, following_on_base
+from crosscheck.solar.day import REST_RATE, tracker_day
+from crosscheck.solar.geared import Geared
+from crosscheck.solar.obstacles import Cause
+from crosscheck.solar.place import Place, tilted
+from crosscheck.solar.reach import reach_over_year
+from crosscheck.solar.report import day_report, zeros
+from crosscheck.solar.tracking import Tracking
+from crosscheck.solar.weather import Weather
+from crosscheck.solar.year import Limit, tracker_year
+from crosscheck.support.errors import CrosscheckError
+from newton_euler import compile_scene
 
 PLACE, DATE, PERIOD = Place(11.56, 104.92), "2026-03-21", 3600.0
 

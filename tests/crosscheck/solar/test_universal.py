@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("pvlib")
-
 from crosscheck.solar.day import tracker_day
 from crosscheck.solar.place import Place
 from crosscheck.solar.results import summary_of, table_of_set_points
