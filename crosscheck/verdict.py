@@ -19,7 +19,7 @@ from crosscheck.compare.crosscheck import Crosscheck, crosscheck
 from crosscheck.compare.diagnosis import Diagnosis
 from crosscheck.compare.logs import judge_logs
 from crosscheck.compare.outcome import Outcome
-from crosscheck.engines.engine import ENGINES, choose
+from crosscheck.engines.registry import ENGINES, choose
 from crosscheck.loading.load import OptionValue, load_scene, option_texts, with_excitation
 from crosscheck.logs.judge import LogJudgement
 from crosscheck.own_run.allowed import AllowedError, ErrorKind

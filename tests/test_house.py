@@ -45,7 +45,7 @@ CORE: dict[str, set[str]] = {
     "logs": {"support", "engines", "own_run"},
     "compare": {"support", "library", "loading", "engines", "own_run", "logs"},
     "differences": {"support", "library", "loading", "engines", "compare"},
-    "recording": {"support", "own_run", "logs", "compare"},
+    "recording": {"support", "engines", "own_run", "logs", "compare"},
     "report": {
         *("support", "library", "loading", "engines", "own_run"),
         *("logs", "compare", "differences", "recording"),

@@ -33,7 +33,7 @@ from pictures import (
 )
 
 from crosscheck.cli import main
-from crosscheck.engines.engine import ENGINES
+from crosscheck.engines.registry import ENGINES
 from crosscheck.report.page import write_report
 
 LARGEST, LARGEST_OF_ALL = 150_000, 1_500_000

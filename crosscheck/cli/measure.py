@@ -117,7 +117,7 @@ def controllers_command(
     --engines newton_euler.
     """
     from crosscheck.design.controllers import CONTROLLERS_FILES, compared, write
-    from crosscheck.engines.engine import ENGINES
+    from crosscheck.engines.registry import ENGINES
 
     options = refuse_excitation(scene_options(settings), why="controllers are those of the scene")
     paths = result_paths(

@@ -55,7 +55,7 @@ def list_command(scene: str | None, settings: tuple[str, ...]) -> int:
         return AGREE  # exit status 0
     if settings:
         raise CrosscheckError("--set has no effect here: it is of a scene")
-    from crosscheck.engines.engine import ENGINES
+    from crosscheck.engines.registry import ENGINES
     from crosscheck.library import SCENES
     from crosscheck.library.model_files import MJCF_OPTIONS, URDF_OPTIONS
     from crosscheck.library.options import options_of

@@ -183,7 +183,7 @@ def _run_library(engines: list[str] | None, output: Path | None) -> int:
         output: parent of the scenes' result folders; `OUTPUT` if None.
     """
     from crosscheck.cli.run_all import outcome_lines, outcomes_table, run_all
-    from crosscheck.engines.engine import ENGINES
+    from crosscheck.engines.registry import ENGINES
     from crosscheck.library import SCENES
     from crosscheck.report.output import check_no_other_results
 
@@ -214,7 +214,7 @@ def _diff(asked: _Options, other: str) -> int:
 def _run(asked: _Options) -> int:
     """Compare a model in several engines, write and print the results, and return the exit status."""
     from crosscheck.compare.crosscheck import crosscheck
-    from crosscheck.engines.engine import ENGINES, choose
+    from crosscheck.engines.registry import ENGINES, choose
     from crosscheck.loading.load import load_scene, non_default_options, with_excitation
     from crosscheck.own_run.allowed import AllowedError
     from crosscheck.recording.mesh_budget import meshes_left_out

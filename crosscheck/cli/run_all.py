@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 
 from crosscheck.compare.crosscheck import Progress, crosscheck
-from crosscheck.engines.engine import choose
+from crosscheck.engines.registry import choose
 from crosscheck.library import SCENES, load
 from crosscheck.report.output import write
 from crosscheck.report.run import outcome_cell, report

@@ -154,7 +154,7 @@ def engines_option(command: Callable[..., int]) -> Callable[..., int]:
     """Add the option `--engines` to a command; its default is None and means all engines."""
 
     def names(context: click.Context, _: click.Parameter, given: str | None) -> list[str] | None:
-        from crosscheck.engines.engine import choose
+        from crosscheck.engines.registry import choose
 
         if given is None:
             return None

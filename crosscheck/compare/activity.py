@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from crosscheck.engines.engine import newton_euler_options
+from crosscheck.engines.adaptive import newton_euler_options
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import StoppedError, Trajectory

@@ -35,12 +35,8 @@ from crosscheck.compare.changes import CHANGE, Element, TimePoint, elements
 from crosscheck.compare.check import ERROR_PER_CHANGE, POSES, ROUND_OFF, Check, reach
 from crosscheck.compare.joint_loads import JointLoads
 from crosscheck.compare.runs import orientations_apart, positions_apart
-from crosscheck.engines.engine import (
-    MAX_RELATIVE_ERROR,
-    native_refined,
-    native_run,
-    newton_euler_options,
-)
+from crosscheck.engines.adaptive import native_refined, native_run, newton_euler_options
+from crosscheck.engines.engine import MAX_RELATIVE_ERROR
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System, at_time
 from newton_euler.errors import AssemblyError, NearlyRedundantWarning, NewtonEulerError, SingularityError

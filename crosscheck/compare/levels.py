@@ -120,8 +120,8 @@ def _compare_formulations(
     # is not among the states
     rigid = samples[engine.name][0]
     scene = rigid.states.scene
-    if engine.evaluate_soft_constraints is not None and rigid.states.all[0] is initial_state(scene):
-        yield softness_check(engine.name, engine.evaluate_soft_constraints(scene), rigid)
+    if engine.soft_constraints is not None and rigid.states.all[0] is initial_state(scene):
+        yield softness_check(engine.name, engine.soft_constraints.evaluate(scene), rigid)
 
 
 def sample_engines(engines: Sequence[Engine], states: States) -> EngineSamples:

@@ -34,6 +34,7 @@ from crosscheck.own_run.allowed import OWN_RUN, AllowedError, ErrorKind, without
 from crosscheck.own_run.judge import Judgement
 from crosscheck.support.versions import versions
 from newton_euler.equations.redundancy import mobility
+from newton_euler.errors import DISTRIBUTION
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.import_report import ImportedElement, ImportReport
@@ -250,7 +251,7 @@ class EngineComparison(ABC):
         Of the import report: `findings` are likely mistakes in the file, `start` has lines of text about the
         initial state, `moved_start` and `changed_velocities` are its changes that satisfy the constraints.
         """
-        packages = sorted({"numpy", "scipy", "rerun-sdk", *(engine.package for engine in self.engines)})
+        used = {"numpy", "scipy", "rerun-sdk", *(engine.package for engine in self.engines)}
         return {
             "scene": self.scene.name,
             "source": self.source,
@@ -259,7 +260,7 @@ class EngineComparison(ABC):
             "outcome": self.outcome.value,
             "verdict": self.verdict,
             "wall_time": self.wall_time,
-            "versions": versions(packages),
+            "versions": versions(sorted(used - {DISTRIBUTION})),
             "unfinished": [asdict(stop) for stop in self.unfinished],
             "engines": {engine.name: self._run_summary(engine.name) for engine in self.engines},
             "checks": [asdict(check) | {"agrees": check.agrees} for check in self.checks],
@@ -313,7 +314,7 @@ def diagnosed(
     Soft constraints do not explain differences of an engine that stopped.
     """
     stopped = {stop.what for stop in stops}
-    soft = [each.name for each in engines if each.evaluate_soft_constraints and each.name not in stopped]
+    soft = [each.name for each in engines if each.soft_constraints and each.name not in stopped]
     names = [each.name for each in engines]
     nearly_redundant = mobility(scene).nearly
     return diagnose(names, checks, reference_checks, soft, nearly_redundant)

@@ -106,8 +106,7 @@ def measure_run_errors(scene: Scene, engines: Sequence[Engine], runs: Runs) -> d
     Raises:
         NewtonEulerError, CrosscheckError: if the reference run does not complete.
     """
-    # only engines with soft constraints have the function `evaluate_soft_constraints`
-    rigid = next((engine for engine in engines if engine.evaluate_soft_constraints is None), None)
+    rigid = next((engine for engine in engines if engine.soft_constraints is None), None)
     if rigid is None or not runs:
         return {}
     reference = rigid.refined(scene)
@@ -134,7 +133,7 @@ def nothing_moves_in_rigid_runs(
     no other engine has a run.
     """
     engines_with_run = [engine for engine in engines if engine.name in runs]
-    rigid = [engine for engine in engines_with_run if engine.evaluate_soft_constraints is None]
+    rigid = [engine for engine in engines_with_run if engine.soft_constraints is None]
     considered = rigid or engines_with_run
     return bool(considered) and nothing_moves({each.name: runs[each.name] for each in considered}, scene)
 

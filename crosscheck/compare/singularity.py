@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from crosscheck.compare.allowed_motions import body_units
-from crosscheck.engines.engine import newton_euler_options
+from crosscheck.engines.adaptive import newton_euler_options
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.equations.redundancy import constraint_rank
 from newton_euler.equations.relative import Relative

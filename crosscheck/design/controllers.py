@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from crosscheck.engines.engine import ENGINES
+from crosscheck.engines.registry import ENGINES
 from crosscheck.library import SCENES, load
 from crosscheck.library.options import options_of
 from crosscheck.report.render import as_json

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from crosscheck.design.drive_report import DriveResults
+from crosscheck.engines.palette import palette
 from crosscheck.report.plots import own_style
-from crosscheck.support.palette import palette
 from newton_euler.analysis.loads.actuator_motions import ActuatorMotion
 from newton_euler.analysis.loads.drives import Drive, motor_motion
 from newton_euler.scalars import Array

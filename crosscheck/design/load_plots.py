@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from crosscheck.engines.palette import palette
 from crosscheck.report.plots import own_style
-from crosscheck.support.palette import palette
 from newton_euler.analysis.loads.envelope import Load, actuator_loads, joint_loads
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory

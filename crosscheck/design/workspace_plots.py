@@ -9,14 +9,14 @@ import numpy as np
 
 from crosscheck.design.workspace_map import WorkspaceMap
 from crosscheck.report.plots import own_style, png
-from crosscheck.support.palette import ENGINE_COLORS
+from crosscheck.support.colors import BLUE, VERMILION
 from newton_euler.scalars import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SINGULAR_COLOR, EDGE_COLOR = ENGINE_COLORS["mujoco"], ENGINE_COLORS["newton_euler"]
+SINGULAR_COLOR, EDGE_COLOR = VERMILION, BLUE
 """Colors of singular configurations, and of the edges of collisions; no engine is drawn."""
 
 COLLISION_COLOR = "0.75"

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from crosscheck.engines.engine import newton_euler_options
+from crosscheck.engines.adaptive import newton_euler_options
 from crosscheck.own_run.interpolation import interpolated
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import NewtonEulerError

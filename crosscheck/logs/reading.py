@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from crosscheck.engines.engine import newton_euler_options
+from crosscheck.engines.adaptive import newton_euler_options
 from crosscheck.logs.columns import LogData, read_columns
 from crosscheck.logs.inputs import started_at, with_inputs
 from crosscheck.logs.names import Elements, Origin

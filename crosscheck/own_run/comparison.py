@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from itertools import count
 from typing import Any
 
-from crosscheck.engines.engine import newton_euler_options
+from crosscheck.engines.adaptive import newton_euler_options
 from crosscheck.own_run.errors import (
     LoopError,
     MotionScale,

@@ -32,6 +32,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
+from crosscheck.engines.palette import palette
 from crosscheck.own_run.judge import Judgement
 from crosscheck.recording.blueprint import blueprint, send_layout
 from crosscheck.recording.entities import (
@@ -52,7 +53,7 @@ from crosscheck.recording.own_run import YOUR_SETTINGS, displaced, error_plots
 from crosscheck.recording.plots import Plot, Tolerances, plots
 from crosscheck.recording.shapes import Style, largest_distance
 from crosscheck.recording.stream import log_text, send_columns
-from crosscheck.support.palette import palette, rgb
+from crosscheck.support.colors import rgb
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene

@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING
 import rerun as rr
 import rerun.blueprint as rrb
 
+from crosscheck.engines.palette import palette
+from crosscheck.engines.registry import SOLVER
 from crosscheck.own_run.interpolation import interpolated
 from crosscheck.recording.blueprint import scene_view
 from crosscheck.recording.entities import MIN_VISIBLE_DISTANCE, heading, log_bodies
@@ -23,14 +25,14 @@ from crosscheck.recording.mesh_budget import without_meshes
 from crosscheck.recording.own_run import YOUR_SETTINGS, error_plots
 from crosscheck.recording.plots import Plot
 from crosscheck.recording.shapes import Style, largest_distance
-from crosscheck.support.palette import ENGINE_COLORS, palette, rgb
+from crosscheck.support.colors import rgb
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.trajectory import Trajectory
 
 if TYPE_CHECKING:  # most recordings have no logs
     from crosscheck.logs.judge import LogJudgement
 
-REFERENCE = "newton_euler"
+REFERENCE = SOLVER.name
 """Engine of the references of logs."""
 
 
@@ -71,7 +73,7 @@ class LoggedRun:
     def draw(self, recording: rr.RecordingStream, has_meshes: bool) -> None:
         """Draw the moving bodies of the reference and of the log over time, with meshes or without."""
         mechanism = self.mechanism if has_meshes else without_meshes(self.mechanism)
-        solid, ghost = Style(rgb(ENGINE_COLORS[REFERENCE])), Style(self.color, ghost=True)
+        solid, ghost = Style(rgb(SOLVER.color)), Style(self.color, ghost=True)
         log_bodies(recording, ["logs", self.name, "reference"], mechanism, self.reference, solid)
         log_bodies(recording, ["logs", self.name, "log"], mechanism, self.run, ghost)
 

@@ -15,11 +15,12 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from crosscheck.engines.palette import palette
 from crosscheck.recording.blueprint import make_layout, scene_view, send_layout
 from crosscheck.recording.entities import log_bodies, log_ground
 from crosscheck.recording.shapes import Style
 from crosscheck.recording.stream import log_text
-from crosscheck.support.palette import palette, rgb
+from crosscheck.support.colors import rgb
 from newton_euler.analysis.linear.linear_model import LinearModel, Modes
 from newton_euler.model.euler_parameters import from_rotation_vector, product
 from newton_euler.model.mechanism import Mechanism

@@ -14,10 +14,11 @@ import os
 from collections import Counter
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Field,
@@ -27,20 +28,33 @@ from pydantic import (
     model_validator,
 )
 
+from crosscheck.engines.registry import names
 from crosscheck.library.entries import Number, Quaternion, Vector
 from crosscheck.support.checksum import with_checksum
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.results import read_json
 from crosscheck.support.versions import versions
+from newton_euler.errors import choices
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
-GroupName = Literal["model", "relative", "cartesian", "integrators", "mujoco", "pinocchio", "own_run"]
+FIXED_GROUPS = ("model", "relative", "cartesian", "integrators", "own_run")
+"""Names of the groups that are not engines."""
+
+
+def _known_group(name: str) -> str:
+    """Return the name of a group; raises `ValueError` if it is none of `FIXED_GROUPS`, and no engine."""
+    if name not in FIXED_GROUPS and name not in names():
+        raise ValueError(f"{name!r} is no group; {choices(name, [*FIXED_GROUPS, *names()])}")
+    return name
+
+
+GroupName = Annotated[str, AfterValidator(_known_group)]
 """Name of a group of quantities that are measured together, see `crosscheck.regress.measure.GROUPS`.
 
 "model" has properties of the scene, such as masses. "relative" (joint coordinates) and "cartesian" (poses of
 bodies) are the formulations of newton_euler, crosscheck's solver; "integrators" are its integrators other
-than the default one. "mujoco" and "pinocchio" are the other engines."""
+than the default one. Other engines have a group of their name."""
 
 OPERATIONS_PREFIX = "operations of "
 """Start of the names of quantities that count arithmetic operations of compiled code."""

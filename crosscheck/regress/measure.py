@@ -2,7 +2,7 @@
 
 A scene is a mechanism (bodies and joints) with forces, inputs, initial state and duration. The quantities
 come in groups (`GROUPS`): properties of the model; equations and runs of the solver newton_euler in each of
-its two formulations; its other integrators; the engines MuJoCo and Pinocchio; and the "own run". The own run
+its two formulations; its other integrators; the other engines; and the "own run". The own run
 is the run of a model file (MJCF or URDF) in the file's engine with the time step and solver settings of the
 file. A formulation is a choice of coordinates: "relative" are joint coordinates, "cartesian" are the
 positions and orientations of all bodies.
@@ -27,7 +27,7 @@ import numpy as np
 
 from crosscheck.compare.check import ERROR_PER_CHANGE, round_off
 from crosscheck.engines.energy import energy_balance
-from crosscheck.engines.engine import ENGINES
+from crosscheck.engines.registry import ENGINES, SOLVER, choose
 from crosscheck.own_run.judge import measure_error
 from crosscheck.regress.baseline import OPERATIONS_PREFIX, GroupName, MeasurementPlan, StoredQuantity
 from crosscheck.regress.plan import MAIN_FORMULATION, TIGHTER_FACTOR, shortened_scene
@@ -39,12 +39,11 @@ from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.options import FormulationName
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.scene import Scene
-from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.file_run import FileSimulation
 from newton_euler.runs.assemble import initial_state
 
-FIXED_STEP_COUNTS = {"newton_euler": 40, "mujoco": 40, "pinocchio": 10}
-"""Numbers of steps of short runs, by engine. Python calls Pinocchio four times per step, therefore fewer."""
+FIXED_STEPS = 40
+"""Number of steps of short runs of newton_euler's integrators without error control."""
 
 MAX_SLOW_OPERATIONS = 1500
 """Largest number of arithmetic operations of the compiled right-hand side dv/dt for which code that is slow
@@ -53,10 +52,6 @@ to compile is measured, too.
 Slow to compile are the derivatives of the right-hand side for Radau, and Cartesian equations with Baumgarte's
 stabilization. In larger scenes they would take longer than all other measurements, and test no further
 code."""
-
-MUJOCO_SOLVER_TOLERANCE = 1e-8
-"""Relative improvement below which MuJoCo's iteration for the forces of its soft (spring-like) constraints
-ends; MuJoCo's default."""
 
 MAX_ERROR_GROWTH = 0.02
 """Fraction by which errors of the own run may grow. Engines repeat a run to the last digit: an error that
@@ -89,7 +84,8 @@ def measure_group(
         that is compared with the baseline, too.
     """
     try:
-        return list(GROUPS[group](Measurement(group, scene, plan, simulation)))
+        measure = GROUPS.get(group, _measure_engine)  # an engine that does not run unless it is named
+        return list(measure(Measurement(group, scene, plan, simulation)))
     except Exception as error:
         return reason_of(error)
 
@@ -171,7 +167,7 @@ def _measure_formulation(measurement: Measurement) -> Iterator[StoredQuantity]:
 
 def _measure_integrators(measurement: Measurement) -> Iterator[StoredQuantity]:
     """Measure short runs of newton_euler's other integrators, and runs with Baumgarte's stabilization."""
-    step, short = measurement.plan.step, measurement.short(FIXED_STEP_COUNTS["newton_euler"])
+    step, short = measurement.plan.step, measurement.short(FIXED_STEPS)
     compiled = compile_scene(short, MAIN_FORMULATION)
     for integrator in ("RK4", "Euler"):
         with _naming_integrator(integrator):
@@ -201,31 +197,21 @@ def _naming_integrator(integrator: str) -> Iterator[None]:
 
 
 def _measure_engine(measurement: Measurement) -> Iterator[StoredQuantity]:
-    """Measure equations and a short run of MuJoCo or Pinocchio, whichever the group is named after."""
-    name, scene = measurement.group, measurement.scene
-    engine = ENGINES[name]
-    (system,) = engine.systems(scene)  # the engine's equations of motion with rigid constraints
+    """Measure equations and a short run of the engine that the group is named after."""
+    scene = measurement.scene
+    (engine,) = choose([measurement.group])
+    system = engine.systems(scene)[0]  # the engine's equations of motion with rigid constraints
     yield from measurement.equations(system)
-    if engine.evaluate_soft_constraints is not None:  # MuJoCo
+    if engine.soft_constraints is not None:
         samples = measurement.samples(system, 0.0, initial_state(scene))
         # the constraints magnify the solver's error twice, as in reactions under rigid constraints
-        soft = MUJOCO_SOLVER_TOLERANCE * samples.condition**2
-        solution = engine.evaluate_soft_constraints(scene)
+        soft = engine.soft_constraints.solver_tolerance * samples.condition**2
+        solution = engine.soft_constraints.evaluate(scene)
         tolerances = RelativeTolerances(acceleration=soft, reaction=soft)
         yield from measurement.evaluation("soft constraints", samples, solution, tolerances)
-    short = measurement.short(FIXED_STEP_COUNTS[name])
-    yield from measurement.end_of_run("RK4", _run_fixed_steps(name, short, measurement.plan.step))
-
-
-def _run_fixed_steps(engine: str, scene: Scene, step: float) -> Trajectory:
-    """Run a scene in "mujoco" or "pinocchio" with RK4 and a fixed step in s."""
-    import mjcf
-    import urdf
-
-    if engine == "mujoco":
-        return mjcf.simulate(scene, timestep=step)  # RK4 is the default
-    assert engine == "pinocchio"
-    return urdf.simulate(scene, "RK4", step=step)
+    if (fixed := engine.fixed_steps) is not None:
+        run = fixed.simulate(measurement.short(fixed.steps), measurement.plan.step)
+        yield from measurement.end_of_run(fixed.integrator, run)
 
 
 def _measure_own_run(measurement: Measurement) -> Iterator[StoredQuantity]:
@@ -256,8 +242,7 @@ GROUPS: dict[GroupName, Callable[[Measurement], Iterator[StoredQuantity]]] = {
     "relative": _measure_formulation,
     "cartesian": _measure_formulation,
     "integrators": _measure_integrators,
-    "mujoco": _measure_engine,
-    "pinocchio": _measure_engine,
+    **{name: _measure_engine for name in ENGINES if name != SOLVER.name},
     "own_run": _measure_own_run,
 }
 """Functions that measure all quantities of a group, by the name of the group."""

@@ -18,7 +18,7 @@ from typing import Any
 
 from crosscheck.compare.check import LEVELS_OF_RUNS, Check
 from crosscheck.compare.result import EngineComparison
-from crosscheck.engines.engine import ENGINES
+from crosscheck.engines.registry import ENGINES
 from crosscheck.report.render import as_json, markdown
 from crosscheck.report.run import junit
 from crosscheck.report.table import Report

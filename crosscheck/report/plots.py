@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from crosscheck.compare.check import CONSTRAINT_VIOLATION, POSES
+from crosscheck.engines.palette import palette
+from crosscheck.engines.registry import ENGINES
 from crosscheck.own_run.allowed import OWN_RUN
 from crosscheck.report.table import seconds
-from crosscheck.support.palette import palette
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.scalars import Array
 
@@ -27,15 +28,8 @@ if TYPE_CHECKING:
 LOG = "log"
 """Label of the curves of a log; the caption has its name."""
 
-DASHES = {
-    "newton_euler": ("-", 2.6),
-    "mujoco": ("--", 1.6),
-    "pinocchio": (":", 1.8),
-    OWN_RUN: ("-", 1.6),
-    LOG: ("-", 1.6),
-}
-"""Dash pattern and width (points) of each engine's curves: thick solid under thin dashed, so that all of
-several equal curves are visible."""
+SOLID = ("-", 1.6)
+"""Dash pattern and width (points) of the curves of logs and of files' own runs."""
 
 MIN_LOG_VALUE = 1e-18
 """Smallest value on logarithmic axes; smaller values, also zero, are replaced by this one."""
@@ -47,8 +41,8 @@ factor, and ends at the longest run time times the second, which leaves space fo
 SPEED_CAPTION = "Run time of each engine at its defaults, less is faster; at equal errors: crosscheck bench"
 """Caption of the bar chart of run times."""
 
-OTHER_DASH = ("-.", 1.6)
-"""Dash pattern and width (points) of curves that are not in `DASHES`."""
+OTHER_LINE = ("-.", 1.6)
+"""Dash pattern and width (points) of curves of engines that do not run unless they are named."""
 
 Runs = Mapping[str, Mapping[str, Array]]
 """Arrays of `Trajectory.arrays`, by engine and by name; other engines are compared with the first."""
@@ -169,7 +163,8 @@ def png(figure: Figure, dpi: int = 100) -> bytes:
 
 def draw_curve(ax: Axes, engine: str, color: str, time: Array, values: Array) -> None:
     """Draw values (n,) over times (n,), s, in the style of an engine."""
-    dash, width = DASHES.get(engine, OTHER_DASH)
+    lines = {name: each.line for name, each in ENGINES.items()} | {OWN_RUN: SOLID, LOG: SOLID}
+    dash, width = lines.get(engine, OTHER_LINE)
     ax.plot(time, values, color=color, linestyle=dash, linewidth=width, label=engine)
 
 

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from crosscheck.engines.palette import palette
 from crosscheck.report.plots import own_style
 from crosscheck.report.table import Rows, Table, number_columns, text_columns
 from crosscheck.solar.geared import Geared
 from crosscheck.solar.obstacles import Cause, Obstacles
 from crosscheck.solar.place import SUN, Place, Sun, angles, sun_over
 from crosscheck.solar.tracking import Tracking
-from crosscheck.support.palette import palette
 from newton_euler import Axis, Scene
 from newton_euler.optional_packages import optional_package
 from newton_euler.scalars import Array

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from crosscheck.engines.engine import ENGINES
+from crosscheck.engines.palette import palette
+from crosscheck.engines.registry import ENGINES
 from crosscheck.library import load
 from crosscheck.library.tracker import TARGET_HEIGHT
 from crosscheck.report.plots import draw_curve, own_style, png
 from crosscheck.support.files import check_writable, write_files
-from crosscheck.support.palette import palette
 from newton_euler import simulate
 from newton_euler.integrators.options import STABILIZATIONS
 from newton_euler.model.euler_parameters import rotations

@@ -24,7 +24,9 @@ import numpy as np
 from crosscheck.compare.check import ERROR_PER_CHANGE, Check
 from crosscheck.compare.crosscheck import Crosscheck, crosscheck
 from crosscheck.compare.runs import MAX_REMAINING_ERROR
-from crosscheck.engines.engine import ENGINES, EXACT_ATOL, EXACT_RTOL, MAX_RELATIVE_ERROR, Engine
+from crosscheck.engines.engine import MAX_RELATIVE_ERROR, Engine
+from crosscheck.engines.newton_euler import EXACT_ATOL, EXACT_RTOL
+from crosscheck.engines.registry import ENGINES, SOLVER
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.time_limits import with_progress
 from crosscheck.sweeps.expressions import Outputs
@@ -324,11 +326,11 @@ def _check_kept(
             of_engine = float(kept[scalar.variable][scalar.index])
             why_not_judged = ""
             if scalar.depends_on_reactions:
-                if engine.evaluate_soft_constraints is not None:  # MuJoCo
+                if engine.soft_constraints is not None:
                     why_not_judged = SOFT_CONSTRAINTS
                 if not not_unique.isdisjoint(reduction.reaction_joints(scalar.index)):
                     why_not_judged = NOT_UNIQUE
-            fixed = (engine.trajectory_error + ENGINES["newton_euler"].trajectory_error) * scale
+            fixed = (engine.trajectory_error + SOLVER.trajectory_error) * scale
             is_same = np.array_equal(of_engine, of_sweep, equal_nan=True)
             difference = 0.0 if is_same else abs(of_engine - of_sweep)
             tolerance, unconverged = fixed, ""

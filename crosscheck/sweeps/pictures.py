@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from crosscheck.report.plots import own_style, png
-from crosscheck.support.palette import ENGINE_COLORS
+from crosscheck.support.colors import BLUE, GREEN, VERMILION
 from crosscheck.sweeps.analysis import Effect
 from crosscheck.sweeps.kept_numbers import KeptNumber, with_unit
 from newton_euler.scalars import Array
@@ -37,11 +37,7 @@ NEARLY_EQUAL_RANGE = 1e-2
 SCATTER_COLUMNS = 3
 """Largest number of parameters over which each kept number is plotted, those with the largest effects."""
 
-LOW_COLOR, HIGH_COLOR, POINT_COLOR = (
-    ENGINE_COLORS["newton_euler"],
-    ENGINE_COLORS["mujoco"],
-    ENGINE_COLORS["pinocchio"],
-)
+LOW_COLOR, HIGH_COLOR, POINT_COLOR = BLUE, VERMILION, GREEN
 """Colors of low and high values of a parameter, and of points."""
 
 Effects = Sequence[tuple[KeptNumber, Sequence[Effect]]]

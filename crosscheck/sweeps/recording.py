@@ -22,11 +22,12 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from crosscheck.engines.palette import palette
 from crosscheck.recording.blueprint import make_layout, scene_view, send_layout
 from crosscheck.recording.entities import PLAIN_COLOR, log_bodies, log_ground
 from crosscheck.recording.shapes import Style
 from crosscheck.recording.stream import log_text, send_columns
-from crosscheck.support.palette import palette, rgb
+from crosscheck.support.colors import rgb
 from crosscheck.sweeps.kept_numbers import QUANTILE_LEVELS
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory

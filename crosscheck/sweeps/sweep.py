@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Unpack, cast
 
 import numpy as np
 
-from crosscheck.engines.engine import ENGINES, choose
+from crosscheck.engines.registry import ENGINES, choose
 from crosscheck.loading.load import load_scene, with_excitation
 from crosscheck.report.output import results_name
 from crosscheck.report.render import terminal

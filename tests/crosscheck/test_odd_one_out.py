@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import run
+from wrong_engines import taking
 
 import mjcf
 import urdf
-from crosscheck.engines.engine import ENGINES
+from crosscheck.engines.registry import ENGINES
 from crosscheck.library.scene_file import write_scene
 from crosscheck.studies.faults import injection
 from newton_euler.model.forces import JointSpring
@@ -58,19 +59,6 @@ def files(tmp_path_factory):
     return folder
 
 
-def with_model(name, change):
-    """An engine that takes every scene for the changed one."""
-    own = ENGINES[name]
-    soft = own.evaluate_soft_constraints
-    return replace(
-        own,
-        simulate=lambda scene: own.simulate(change(scene)),
-        refined=lambda scene: own.refined(change(scene)),
-        systems=lambda scene: own.systems(change(scene)),
-        evaluate_soft_constraints=None if soft is None else lambda scene: soft(change(scene)),
-    )
-
-
 def with_runs(name, simulate):
     """An engine with other runs of the same model, whose finer ones are no finer."""
     return replace(ENGINES[name], simulate=simulate, refined=simulate)
@@ -109,24 +97,24 @@ def breaking(scene):
 
 MODELS = {
     "mass": (
-        with_model("mujoco", injection.mass("coupler", 1e-3)),
+        taking(ENGINES["mujoco"], injection.mass("coupler", 1e-3)),
         "mass, rel: 0.001 > 1e-12, worst at coupler: newton_euler 1.107, mujoco 1.108 kg",
     ),
     "inertia": (
-        with_model("pinocchio", injection.inertia_entry("link", 1, 1, 0.01)),
+        taking(ENGINES["pinocchio"], injection.inertia_entry("link", 1, 1, 0.01)),
         "inertia, rel: 0.01 > 1e-12, worst at link: newton_euler 0 0.08198 0, pinocchio 0 0.0828 0 kg m^2",
     ),
     "gravity": (
-        with_model("newton_euler", heavier_pull),
+        taking(ENGINES["newton_euler"], heavier_pull),
         "worst at gravity: 0 0 -9.908 instead of 0 0 -9.81 m/s^2; newton_euler's model",
     ),
     "axis": (
-        with_model("pinocchio", oblique),
+        taking(ENGINES["pinocchio"], oblique),
         "joint axes, rad: 0.001 > 1e-12, worst at wrist: newton_euler 0 1 0, pinocchio 0 1 0.001",
     ),
-    "damping": (with_model("mujoco", more_damping), "worst at elbow: damping 0.015 instead of 0.01"),
+    "damping": (taking(ENGINES["mujoco"], more_damping), "worst at elbow: damping 0.015 instead of 0.01"),
     "a damper of its own": (
-        with_model("pinocchio", more_dampers),
+        taking(ENGINES["pinocchio"], more_dampers),
         "worst at pivot: damping 0.02 instead of 0",
     ),
 }

@@ -18,7 +18,7 @@ import scipy.integrate  # noqa: F401
 
 from crosscheck.cli import main
 from crosscheck.compare import crosscheck  # noqa: F401
-from crosscheck.engines import engine as engines  # noqa: F401
+from crosscheck.engines import registry  # noqa: F401
 from crosscheck.library import scene_file  # noqa: F401
 
 WALL_TIME = 300.0

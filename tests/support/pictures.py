@@ -19,10 +19,9 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -31,10 +30,12 @@ from recordings import read_recording
 from rerun.chunk import RrdReader
 from rich.console import Console
 from rich.text import Text
+from wrong_engines import taking
 
 import newton_euler
 from crosscheck.cli import main
-from crosscheck.engines.engine import ENGINES, Engine
+from crosscheck.engines.engine import Engine
+from crosscheck.engines.registry import ENGINES
 from crosscheck.library import load
 from crosscheck.recording.log import log_run
 from crosscheck.recording.screenshot import MECHANISM, screenshots
@@ -42,7 +43,6 @@ from crosscheck.recording.stream import recorded
 from crosscheck.report import page
 from crosscheck.report.page import PAGE, key_times
 from crosscheck.studies.faults import injection
-from newton_euler.model.scene import Scene
 
 ROOT = Path(__file__).parents[2]
 IMAGES = ROOT / "docs" / "images"
@@ -202,13 +202,7 @@ def _rounded(value: object) -> object:
 
 def wrong_engine() -> Engine:
     """MuJoCo, told that a body is heavier than it is."""
-    own, heavier = ENGINES["mujoco"], injection.mass(*WRONG[1:])
-
-    def told(ask: Callable[[Scene], Any]) -> Callable[[Scene], Any]:
-        return lambda scene: ask(heavier(scene))
-
-    asked = ("simulate", "refined", "systems", "evaluate_soft_constraints")
-    return replace(own, **{name: told(getattr(own, name)) for name in asked})
+    return taking(ENGINES["mujoco"], injection.mass(*WRONG[1:]))
 
 
 # Pictures

@@ -17,7 +17,8 @@ import numpy as np
 from crosscheck.compare.check import Check
 from crosscheck.compare.coverage import Coverage, coverage
 from crosscheck.compare.runs import compare_runs
-from crosscheck.engines.engine import ENGINES, Engine
+from crosscheck.engines.engine import Engine
+from crosscheck.engines.registry import ENGINES
 from crosscheck.library import load
 from crosscheck.library.model_files import is_model_file
 from crosscheck.studies.faults import injection

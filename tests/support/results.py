@@ -8,7 +8,7 @@ from typing import Any
 
 from crosscheck.compare.check import Check
 from crosscheck.compare.crosscheck import Crosscheck
-from crosscheck.engines.engine import ENGINES
+from crosscheck.engines.registry import ENGINES
 from crosscheck.loading.load import load_scene
 
 

@@ -16,7 +16,6 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import chdir, redirect_stderr, redirect_stdout
-from dataclasses import replace
 from html import unescape
 from pathlib import Path
 from typing import Any
@@ -24,13 +23,13 @@ from unittest.mock import patch
 
 import one_thread  # noqa: F401  # before NumPy
 import pytest
+from wrong_engines import taking
 
 from crosscheck.cli import main
 from crosscheck.cli.shared import cli
-from crosscheck.engines.engine import ENGINES
+from crosscheck.engines.registry import ENGINES
 from crosscheck.report.page import PAGE
 from crosscheck.studies.faults import injection
-from newton_euler.model.scene import Scene
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "tests" / "snapshots"
@@ -102,19 +101,7 @@ def page_text(folder: str) -> str:
 
 def with_heavier_body(engine: str, body: str, fraction: float) -> dict[str, Any]:
     """Return the engines, with a body in the model of one of them heavier by a fraction."""
-    own, heavier = ENGINES[engine], injection.mass(body, fraction)
-
-    def changed(evaluate: Callable[[Scene], Any]) -> Callable[[Scene], Any]:
-        return lambda scene: evaluate(heavier(scene))
-
-    evaluated = {
-        name: changed(value) for name, value in vars(own).items() if name in CHANGED and value is not None
-    }
-    return {engine: replace(own, **evaluated)}
-
-
-CHANGED = ("simulate", "refined", "systems", "evaluate_soft_constraints")
-"""Functions of an engine that evaluate a scene."""
+    return {engine: taking(ENGINES[engine], injection.mass(body, fraction))}
 
 
 def help_of_all() -> str:

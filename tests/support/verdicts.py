@@ -6,7 +6,8 @@ from collections.abc import Iterable, Sequence
 
 from crosscheck.compare.check import Check
 from crosscheck.compare.levels import compare
-from crosscheck.engines.engine import ENGINES, Engine
+from crosscheck.engines.engine import Engine
+from crosscheck.engines.registry import ENGINES
 from newton_euler.model.scene import Scene
 
 ALL = tuple(ENGINES.values())

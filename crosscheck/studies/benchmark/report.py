@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
+from crosscheck.engines.palette import palette
 from crosscheck.report.plots import own_style, png
 from crosscheck.report.table import Cell, Lines, Part, Rows, Table, number_columns, text_columns
 from crosscheck.studies.benchmark.ladders import BASELINE_ENGINE, ENGINES
 from crosscheck.studies.benchmark.reference import Reference
 from crosscheck.studies.benchmark.timing import rounded, time_text
 from crosscheck.studies.benchmark.work_precision import Measurement, WorkPrecision
-from crosscheck.support.palette import ENGINE_COLORS
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
@@ -217,8 +217,7 @@ def picture(result: Benchmark) -> bytes:
 
     drawn = Figure(figsize=(9.0, 5.0), layout="constrained")
     ax = drawn.add_subplot()
-    for engine in ENGINES:
-        color = ENGINE_COLORS[engine]
+    for engine, color in palette(list(ENGINES)).items():
         points = [m for m in result.measured.measurements if m.engine == engine]
         if points:
             ax.plot(*_points(points).T, ".", color=color, markersize=4, alpha=0.3)

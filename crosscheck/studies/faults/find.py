@@ -26,7 +26,8 @@ from crosscheck.compare.diagnosis import Diagnosis
 from crosscheck.compare.levels import EQUATION_LEVELS, Level, compare_pair
 from crosscheck.compare.outlier import diagnose
 from crosscheck.compare.samples import Samples, States
-from crosscheck.engines.engine import ENGINES, Engine
+from crosscheck.engines.engine import Engine
+from crosscheck.engines.registry import ENGINES
 from crosscheck.studies.faults import INJECTED_ENGINES
 from crosscheck.studies.faults.catalog import FAULT_SIZES, Fault, catalog
 from crosscheck.studies.faults.misreadings import ALL_BODIES, misreadings

@@ -18,7 +18,7 @@ from crosscheck.compare.advice import Advice, redundancy_advice
 from crosscheck.compare.crosscheck import crosscheck
 from crosscheck.compare.outcome import Outcome
 from crosscheck.compare.runs import nothing_moves_in_rigid_runs
-from crosscheck.engines.engine import ENGINES, choose
+from crosscheck.engines.registry import ENGINES, choose
 from crosscheck.report.render import terminal
 from crosscheck.report.table import Lines
 from newton_euler.equations.relative import Relative

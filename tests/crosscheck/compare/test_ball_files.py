@@ -16,7 +16,7 @@ from mjcf_models import model, reading, verified
 import crosscheck
 import mjcf
 import newton_euler
-from crosscheck.engines.engine import ENGINES
+from crosscheck.engines.registry import ENGINES
 from crosscheck.library import load
 from crosscheck.library.model_files import read_model
 from crosscheck.library.scene_file import write_scene

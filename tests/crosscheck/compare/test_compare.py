@@ -17,7 +17,7 @@ from crosscheck.compare.levels import compare, compare_equations, sample_engines
 from crosscheck.compare.momentum import momentum_check
 from crosscheck.compare.runs import compare_runs
 from crosscheck.compare.samples import Samples, States
-from crosscheck.engines.engine import ENGINES
+from crosscheck.engines.registry import ENGINES
 from crosscheck.library import load
 from crosscheck.studies.stress.noise import sarrus
 from crosscheck.support.errors import CrosscheckError
@@ -197,7 +197,7 @@ def mistaken(engine, mistake):
         simulate=lambda scene: engine.simulate(mistake(scene)),
         refined=lambda scene: engine.refined(mistake(scene)),
         systems=lambda scene: engine.systems(mistake(scene)),
-        evaluate_soft_constraints=None,
+        soft_constraints=None,
     )
 
 
@@ -219,7 +219,7 @@ MISTAKES = [
 @pytest.mark.parametrize(("mistake", "level", "quantity", "where"), MISTAKES)
 def test_an_error_of_a_millionth_in_one_engine_is_found_and_placed(name, mistake, level, quantity, where):
     scene = load(EXAMPLE)
-    engines = [replace(engine, evaluate_soft_constraints=None) for engine in ALL]
+    engines = [replace(engine, soft_constraints=None) for engine in ALL]
     engines = [mistaken(e, mistake) if e.name == name else e for e in engines]
     states = States(scene, (initial_state(scene), *random_states(scene, 5)))
     found = compare_equations(engines, sample_engines(engines, states))
@@ -256,7 +256,7 @@ def test_noise_in_runs_counts_with_the_condition_of_the_constraints():
     """As at the levels before: two forms that omit other combinations of rows are 10 singular values apart
     times the condition, here 9."""
     scene = replace(sarrus(1e-4), duration=0.3)
-    engines = [engine for engine in ALL if engine.evaluate_soft_constraints is None]
+    engines = [engine for engine in ALL if engine.soft_constraints is None]
     runs = {engine.name: engine.simulate(scene) for engine in engines}
     rows = list(compare_runs(scene, engines, runs, energy=1.0))
     assert all(row.agrees for row in rows)

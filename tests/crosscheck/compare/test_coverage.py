@@ -16,7 +16,7 @@ import newton_euler
 from crosscheck.compare import crosscheck as run
 from crosscheck.compare.changes import CHANGE
 from crosscheck.compare.coverage import covered_by
-from crosscheck.engines.engine import choose
+from crosscheck.engines.registry import choose
 from crosscheck.library import load
 from crosscheck.studies.stress.noise import flat_four_bar
 from newton_euler.model.armatures import Armature

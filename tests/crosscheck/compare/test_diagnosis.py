@@ -19,8 +19,8 @@ from crosscheck.compare.levels import compare_equations
 from crosscheck.compare.momentum import momentum_check
 from crosscheck.compare.outlier import diagnose
 from crosscheck.compare.samples import Samples, States
-from crosscheck.engines.engine import ENGINES
 from crosscheck.engines.engine_runs import collecting_errors
+from crosscheck.engines.registry import ENGINES
 from crosscheck.library import load
 from crosscheck.studies.faults import find as finding
 from crosscheck.studies.faults import injection
@@ -41,7 +41,7 @@ LINKAGE = EXAMPLE.parent / "linkage.xml"
 
 NAMES = tuple(ENGINES)
 NE, MJ, PIN = NAMES
-RIGID = [replace(engine, evaluate_soft_constraints=None) for engine in ENGINES.values()]
+RIGID = [replace(engine, soft_constraints=None) for engine in ENGINES.values()]
 """Without MuJoCo's softness, which only informs."""
 
 

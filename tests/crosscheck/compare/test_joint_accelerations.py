@@ -9,7 +9,7 @@ from elements import ELEMENTS
 from crosscheck.compare.accelerations import acceleration_checks
 from crosscheck.compare.levels import compare_equations, compare_pair, sample_engines
 from crosscheck.compare.samples import RATE_ERROR, Samples, States
-from crosscheck.engines.engine import ENGINES
+from crosscheck.engines.registry import ENGINES
 from crosscheck.library import load
 from newton_euler.equations.relative import Relative
 from newton_euler.reading.excitation import random_states

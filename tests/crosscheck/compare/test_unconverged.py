@@ -12,7 +12,7 @@ from verdicts import figure, verdicts
 
 from crosscheck.compare.check import POSES, not_judged
 from crosscheck.compare.crosscheck import crosscheck as run_crosscheck
-from crosscheck.engines.engine import ENGINES
+from crosscheck.engines.registry import ENGINES
 from crosscheck.report.output import write
 from crosscheck.report.page import write_report
 from crosscheck.report.render import terminal

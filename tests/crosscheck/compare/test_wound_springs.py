@@ -12,7 +12,7 @@ from crosscheck import diff
 from crosscheck.compare.crosscheck import crosscheck
 from crosscheck.compare.outcome import Outcome
 from crosscheck.compare.samples import Samples, States
-from crosscheck.engines.engine import ENGINES
+from crosscheck.engines.registry import ENGINES
 from crosscheck.regress.baseline import StoredState
 from newton_euler import (
     Body,

@@ -17,7 +17,7 @@ from crosscheck.cli.run_all import SceneOutcome, outcome_lines, outcomes_table, 
 from crosscheck.cli.shared import UNFINISHED
 from crosscheck.compare.check import ERROR_PER_CHANGE, MAX_RELATIVE_ERROR
 from crosscheck.compare.reference_values import STEPS_ROUND_OFF, known_of, measure
-from crosscheck.engines import engine as engines
+from crosscheck.engines.registry import ENGINES
 from crosscheck.library import REFERENCE_QUANTITIES, SCENES, load
 from crosscheck.library.measure import angle, position, spin, velocity
 from crosscheck.report.table import Cell
@@ -71,7 +71,7 @@ def swing():
 
 
 def own(**changes):
-    return replace(engines.ENGINES["newton_euler"], **changes)
+    return replace(ENGINES["newton_euler"], **changes)
 
 
 def half_second():
@@ -186,8 +186,8 @@ def test_an_engine_that_cannot_express_a_scene_is_left_out(capsys, tmp_path, mon
     def refuse(scene):
         raise newton_euler.NewtonEulerError("no word for joint 'pivot'")
 
-    unable = replace(engines.ENGINES["pinocchio"], systems=refuse)
-    monkeypatch.setitem(engines.ENGINES, "pinocchio", unable)
+    unable = replace(ENGINES["pinocchio"], systems=refuse)
+    monkeypatch.setitem(ENGINES, "pinocchio", unable)
     status, out, _ = run(capsys, "run", "pendulum", "--output", tmp_path)
     assert status == UNFINISHED
     assert verdict_of(out).startswith("AGREE (2 of 3 engines): newton_euler, mujoco ")

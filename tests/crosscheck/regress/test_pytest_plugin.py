@@ -18,7 +18,7 @@ LINKAGE = Path(__file__).parents[3] / "examples" / "linkage.xml"
 SUITE = """
     import dataclasses
     import mujoco
-    from crosscheck.engines.engine import ENGINES
+    from crosscheck.engines.registry import ENGINES
 
     def wrong(scene):
         bodies = list(scene.mechanism.bodies)
@@ -37,7 +37,7 @@ SUITE = """
     def test_odd(crosscheck, monkeypatch):
         good = ENGINES["mujoco"]
         systems = lambda scene: good.systems(wrong(scene))
-        odd = dataclasses.replace(good, systems=systems, evaluate_soft_constraints=None)
+        odd = dataclasses.replace(good, systems=systems, soft_constraints=None)
         monkeypatch.setitem(ENGINES, "mujoco", odd)
         crosscheck("arm.xml", key="go", duration=0.05).assert_agrees()
 

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import pytest
 from command_line import run
 
-from crosscheck.engines.engine import ENGINES
+from crosscheck.engines.registry import ENGINES
 from crosscheck.studies.faults import injection
 from crosscheck.support.errors import CrosscheckError
 

@@ -15,8 +15,8 @@ from crosscheck.compare.check import READING
 from crosscheck.compare.crosscheck import MISREAD
 from crosscheck.compare.crosscheck import crosscheck as run_crosscheck
 from crosscheck.compare.outcome import ExitStatus, Outcome
-from crosscheck.engines.engine import ENGINES
 from crosscheck.engines.engine_runs import Stop, stops_text
+from crosscheck.engines.registry import ENGINES
 from crosscheck.loading.load import load_scene
 from crosscheck.report.run import verdict_limits
 from crosscheck.support.errors import CrosscheckError

@@ -11,7 +11,7 @@ import pytest
 from command_line import EXAMPLE, run
 from mechanisms import GRAVITY, pendulum
 
-from crosscheck.engines.engine import ENGINES
+from crosscheck.engines.registry import ENGINES
 from crosscheck.library import load
 from crosscheck.report.page import write_report
 from crosscheck.studies.faults import INJECTED_ENGINES, injection

@@ -13,7 +13,7 @@ from mechanisms import scaled
 import newton_euler
 import urdf
 from crosscheck.compare.crosscheck import crosscheck
-from crosscheck.engines.engine import ENGINES
+from crosscheck.engines.registry import ENGINES
 from crosscheck.report.run import redundancy_lines
 from crosscheck.studies.stress.noise import MECHANISMS, NOISE_SENSITIVITY, flat_four_bar
 from mjcf import read

@@ -19,7 +19,7 @@ from mechanisms import (
 from overconstrained import LOOPS, linkage
 
 import newton_euler
-from crosscheck.engines.engine import ENGINES
+from crosscheck.engines.registry import ENGINES
 from crosscheck.library import load
 from crosscheck.studies.stress.configurations import with_flat_start
 from newton_euler.equations.cartesian import Cartesian

@@ -16,7 +16,7 @@ from finite_difference import jacobian
 from mechanisms import REGULAR, SLIDER_ACCELERATIONS, bar, planar_four_bar, slider_tree
 from random_chains import CHAINS, TREES
 
-from crosscheck.engines.engine import ENGINES
+from crosscheck.engines.registry import ENGINES
 from newton_euler import simulate
 from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.equations.relative import Relative

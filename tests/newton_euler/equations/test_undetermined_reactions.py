@@ -8,7 +8,7 @@ from mechanisms import planar_four_bar, seven_hinges
 
 from crosscheck.compare.levels import compare_equations, sample_engines
 from crosscheck.compare.samples import Samples, States
-from crosscheck.engines.engine import ENGINES
+from crosscheck.engines.registry import ENGINES
 from crosscheck.library import load
 from crosscheck.studies.random_scenes import random_scene
 from newton_euler.equations.cartesian import Cartesian

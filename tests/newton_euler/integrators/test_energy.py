@@ -16,7 +16,7 @@ from verdicts import verdicts
 import mjcf
 import newton_euler
 from crosscheck.engines.energy import energy_balance
-from crosscheck.engines.engine import ENGINES
+from crosscheck.engines.registry import ENGINES
 from crosscheck.library import load
 from newton_euler import PD, Body, JointSpring, Mechanism, Scene
 from newton_euler.compiled.formulations import FORMULATIONS

@@ -15,7 +15,7 @@ from overconstrained import LOOPS, SPEED, centers, linkage, side_by_side
 from scipy.optimize import minimize_scalar
 
 import newton_euler
-from crosscheck.engines.engine import ENGINES
+from crosscheck.engines.registry import ENGINES
 from crosscheck.library import load
 from newton_euler.compiled.constraint_groups import constraint_groups
 from newton_euler.equations.cartesian import Cartesian

@@ -15,7 +15,7 @@ import newton_euler
 from crosscheck.compare.check import LEVELS_OF_EQUATIONS
 from crosscheck.compare.crosscheck import crosscheck
 from crosscheck.compare.outcome import Outcome
-from crosscheck.engines.engine import ENGINES, choose
+from crosscheck.engines.registry import ENGINES, choose
 from newton_euler.compiled.equations import OPEN_TOLERANCE
 from newton_euler.equations.parameters import parameter_values
 from newton_euler.equations.system import MassProperties

@@ -13,8 +13,8 @@ from mechanisms import pendulum
 
 import mjcf
 from crosscheck.compare.crosscheck import crosscheck
-from crosscheck.engines import engine as engines
-from crosscheck.engines.engine import ENGINES, choose
+from crosscheck.engines import adaptive
+from crosscheck.engines.registry import ENGINES, choose
 from crosscheck.engines.stiffness import (
     DOP853_STABILITY,
     explicit_steps,
@@ -190,7 +190,7 @@ def test_an_interrupt_is_not_taken_for_the_limit() -> None:
 
 
 def test_a_run_that_grinds_is_stopped_with_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engines, "NATIVE_MAX_STEPS", 4)
+    monkeypatch.setattr(adaptive, "NATIVE_MAX_STEPS", 4)
     scene = replace(pendulum(), duration=10.0)
     (stop,) = crosscheck(scene, choose(["newton_euler"]), lambda _: None, "x", {}).unfinished
     assert re.fullmatch("newton_euler: integration stopped at t = .*: more than 4 steps.*", str(stop))

@@ -18,7 +18,7 @@ import newton_euler
 import urdf
 from crosscheck.cli.run_all import run_scene
 from crosscheck.cli.shared import UNFINISHED
-from crosscheck.engines.engine import ENGINES as ENGINES_BY_NAME
+from crosscheck.engines.registry import ENGINES as ENGINES_BY_NAME
 from crosscheck.library import load
 from crosscheck.library.scene_file import write_scene
 from crosscheck.studies.faults import injection

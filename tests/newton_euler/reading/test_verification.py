@@ -12,7 +12,7 @@ import pytest
 from command_line import run
 from mjcf_models import BOX, model, reading
 
-from crosscheck.engines.engine import ENGINES
+from crosscheck.engines.registry import ENGINES
 from crosscheck.studies.faults.find import find_in_reading
 from crosscheck.studies.faults.misreadings import misreadings
 from mjcf.errors import MjcfError

@@ -15,7 +15,7 @@ import urdf
 from crosscheck.compare.check import LEVELS_OF_EQUATIONS, LEVELS_OF_RUNS
 from crosscheck.compare.crosscheck import crosscheck
 from crosscheck.compare.outcome import Outcome
-from crosscheck.engines.engine import ENGINES
+from crosscheck.engines.registry import ENGINES
 from crosscheck.studies.faults.find import find_in_reading
 from crosscheck.studies.faults.misreadings import misreadings
 from crosscheck.verdict import check
@@ -174,7 +174,7 @@ def test_the_line_tells_what_few_states_show(text: str, said: str, limited: str,
 @pytest.mark.parametrize(("tilt", "told"), [("1e-4", True), ("0", False)])
 def test_a_verdict_says_that_no_state_tells_motions(tilt: str, told: bool, tmp_path: Path) -> None:
     found = reading(tmp_path, TILTED.format(tilt), duration=0.02, verified=False)
-    rigid = [engine for engine in ENGINES.values() if engine.evaluate_soft_constraints is None]
+    rigid = [engine for engine in ENGINES.values() if engine.soft_constraints is None]
     result = crosscheck(found.scene, rigid, lambda _: None, "tilted", {}, found.report)
     assert result.outcome.passes()
     assert (

@@ -1,0 +1,188 @@
+"""MuJoCo as an engine: RK4 at a fixed step, or an implicit method for stiff scenes, with soft constraints.
+
+The step is chosen for each scene by the eigenvalues of its motions and by newton_euler's run.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from functools import lru_cache, partial
+from typing import Final
+
+import numpy as np
+
+from crosscheck.engines.adaptive import expected_run
+from crosscheck.engines.energy import energy_balance, min_energy_scale
+from crosscheck.engines.engine import MAX_RELATIVE_ERROR, Engine, FixedSteps, SoftConstraints, without_forces
+from crosscheck.support.colors import VERMILION
+from newton_euler.equations.system import Evaluation, System
+from newton_euler.integrators.fixed_step import RK4_LIMIT
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory, distance
+from newton_euler.runs.assemble import initial_state
+
+MIN_STEPS = 500
+"""Smallest number of steps of a run in MuJoCo, for short runs of fast machines: the default step of 1 ms is
+too long for a machine that reaches 1000 rad/s after 50 ms."""
+
+MAX_HALVINGS = 4
+"""Largest number of halvings of the longest step at which MuJoCo's RK4 is stable, if runs diverge. If all of
+them diverge, or no step is stable, `IMPLICIT` is used at the longest step halved this number of times."""
+
+MAX_RK4_STEPS = 100_000
+"""Largest number of steps of MuJoCo's RK4, which take some seconds. If stability would require more steps,
+for example because of stiff dampers, `IMPLICIT` is used instead."""
+
+SOLVER_TOLERANCE = 1e-8
+"""Relative improvement below which MuJoCo's iteration for the forces of its soft (spring-like) constraints
+ends; MuJoCo's default."""
+
+IMPLICIT: Final = "implicitfast"
+"""Name of MuJoCo's implicit integrator, a method of order 1."""
+
+
+@lru_cache(maxsize=1)
+def _run(scene: Scene) -> Trajectory:
+    """Simulate a scene in MuJoCo, at the default step divided by a whole number.
+
+    The step is short enough for at least `MIN_STEPS` steps, for a stable RK4, and for a run that does
+    not diverge. If the run is still far from newton_euler's in its poses or energies, the step is halved
+    further: RK4 is inaccurate for fast machines and after steps of a control, and the soft constraints of
+    loops with very different masses yield too much.
+
+    Raises:
+        DivergenceError: if the runs with all steps diverge; the message names the step that RK4 would need.
+    """
+    import mjcf
+    from crosscheck.engines.stiffness import is_stable_in_rk4, modes_of_run
+    from mjcf.errors import DivergenceError
+    from mjcf.simulate import default_timestep
+
+    # The candidate steps: the default step divided by a whole number, and its halves. The factor 1 - 1e-9
+    # keeps round-off from raising the result of `ceil`
+    step = default_timestep(scene)
+    step /= max(1.0, np.ceil(MIN_STEPS * step / scene.duration * (1.0 - 1e-9)))
+    expected = expected_run(scene)
+    modes = modes_of_run(scene, expected)  # eigenvalues, 1/s
+    halvings = max(MAX_HALVINGS, int(np.log2(max(1.0, MAX_RK4_STEPS * step / scene.duration))))
+    steps = [step * 0.5**k for k in range(halvings + 1)]
+    # RK4 with the longest stable step at which it does not diverge; else the implicit method
+    stable_steps = [each for each in steps if is_stable_in_rk4(modes, each)]
+    for stable_step in stable_steps[: MAX_HALVINGS + 1]:
+        with suppress(DivergenceError):
+            return _halve_until_accurate(scene, mjcf.simulate(scene, timestep=stable_step), expected)
+    try:
+        return mjcf.simulate(scene, timestep=steps[MAX_HALVINGS], integrator=IMPLICIT)
+    except DivergenceError as error:
+        # Explain the divergence by the fastest decay of the motions, if that is too fast for RK4
+        rate = max(0.0, -float(np.min(modes.real, initial=0.0)))
+        if RK4_LIMIT / steps[-1] >= rate:
+            raise
+        stiff = (
+            f"motions decay at up to {rate:.2g} 1/s, for which RK4 needs steps below {RK4_LIMIT / rate:.2g} s"
+        )
+        alone = f"{IMPLICIT} at {steps[MAX_HALVINGS]:.2g} s leaves the forces of constraints explicit"
+        cause = DivergenceError(error.time, f"{error.reason}; {stiff}, and {alone}")
+        cause.partial = error.partial
+        raise cause from error
+
+
+def _halve_until_accurate(scene: Scene, run: Trajectory, expected: Trajectory | None) -> Trajectory:
+    """Halve the step of MuJoCo's RK4 while the run is far from the expected run and halving changes the run.
+
+    Args:
+        scene: the scene.
+        run: MuJoCo's run.
+        expected: newton_euler's run. If there is none, or a partial one, `run` is returned unchanged.
+    """
+    import mjcf
+    from mjcf.errors import DivergenceError
+
+    if expected is None or len(expected.time) != len(run.time):
+        return run
+    while _relative_deviation(scene, run, expected) > MAX_RELATIVE_ERROR:
+        half = 0.5 * run.settings["timestep"]
+        if scene.duration > half * MAX_RK4_STEPS:
+            break
+        try:
+            finer = mjcf.simulate(scene, timestep=half)
+        except DivergenceError:
+            break
+        change, run = _relative_deviation(scene, run, finer), finer
+        if change < MAX_RELATIVE_ERROR:
+            break
+    return run
+
+
+def _relative_deviation(scene: Scene, run: Trajectory, other: Trajectory) -> float:
+    """Return the largest difference of two runs in poses, kinetic energy and energy balance.
+
+    Distances are relative to the mechanism's size, angles to 1 rad, and energies to the energy of the run
+    `other` or of the mechanism, whichever is larger. Energies count only if both runs have them.
+    """
+    deviations = [distance(run, other, length=scene.mechanism.size)]
+    balance, other_balance = energy_balance(scene, run), energy_balance(scene, other)
+    if balance is not None and other_balance is not None:
+        assert run.kinetic_energy is not None
+        assert other.kinetic_energy is not None
+        unit = max(min_energy_scale(scene, [initial_state(scene)]), other_balance.scale)
+        deviations.append(float(np.max(np.abs(balance.residual - other_balance.residual))) / unit)
+        deviations.append(float(np.max(np.abs(run.kinetic_energy - other.kinetic_energy))) / unit)
+    return max(deviations)
+
+
+def _refined(scene: Scene, in_full: bool = False) -> Trajectory:
+    """Simulate a scene in MuJoCo with half the step.
+
+    Args:
+        scene: the scene.
+        in_full: True to compute all outputs of the scene; False to omit reactions and actuator forces.
+    """
+    import mjcf
+
+    settings = _run(scene).settings
+    step, integrator = 0.5 * settings["timestep"], settings["integrator"]
+    wanted = scene if in_full else without_forces(scene)
+    return mjcf.simulate(wanted, timestep=step, integrator=integrator)
+
+
+def _systems(scene: Scene) -> tuple[System, ...]:
+    """Return MuJoCo's equations of motion with rigid constraints."""
+    from mjcf.rigid import RigidMuJoCo
+
+    return (RigidMuJoCo(scene),)
+
+
+def _soft_evaluation(scene: Scene) -> Evaluation:
+    """Evaluate the initial state of a scene with MuJoCo's soft constraints."""
+    from mjcf.soft import SoftMuJoCo
+
+    soft = SoftMuJoCo(scene)
+    return soft.evaluate(*soft.coordinates(initial_state(scene)))
+
+
+def _rk4(scene: Scene, step: float) -> Trajectory:
+    """Simulate a scene in MuJoCo with RK4 at a step, s."""
+    import mjcf
+
+    return mjcf.simulate(scene, timestep=step, integrator="RK4")
+
+
+# RK4 at a fixed step; MuJoCo's constraints are springs with a time constant of two steps, whose
+# effect on a run depends on the mechanism
+ENGINE = Engine(
+    "mujoco",
+    _run,
+    _refined,
+    _systems,
+    trajectory_error=1e-9,
+    drift=1e-9,
+    energy_error=1e-8,
+    package="mujoco",
+    label="MuJoCo",
+    color=VERMILION,
+    line=("--", 1.6),
+    soft_constraints=SoftConstraints(_soft_evaluation, SOLVER_TOLERANCE),
+    refined_in_full=partial(_refined, in_full=True),
+    fixed_steps=FixedSteps("RK4", _rk4, steps=40),
+)

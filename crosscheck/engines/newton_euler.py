@@ -1,0 +1,44 @@
+"""newton_euler as an engine: this project's own solver, with compiled equations and adaptive steps."""
+
+from __future__ import annotations
+
+from crosscheck.engines.adaptive import native_refined, native_run
+from crosscheck.engines.engine import Engine
+from crosscheck.support.colors import BLUE
+from newton_euler.equations.system import System
+from newton_euler.errors import DISTRIBUTION
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
+
+EXACT_RTOL, EXACT_ATOL = 1e-13, 1e-15
+"""Tolerances of runs for reference values of twelve digits; tighter ones only add round-off."""
+
+
+def _exact(scene: Scene) -> Trajectory:
+    """Simulate a scene in newton_euler at the tightest useful tolerances."""
+    from newton_euler import simulate
+
+    return simulate(scene, rtol=EXACT_RTOL, atol=EXACT_ATOL)
+
+
+def _systems(scene: Scene) -> tuple[System, ...]:
+    """Return newton_euler's equations of motion in all formulations."""
+    from newton_euler.compiled.formulations import FORMULATIONS, formulate
+
+    return tuple(formulate(scene, name) for name in FORMULATIONS)
+
+
+# DOP853 at rtol 1e-10 or Radau, projected onto the constraints after each step
+ENGINE = Engine(
+    "newton_euler",
+    native_run,
+    native_refined,
+    _systems,
+    trajectory_error=1e-9,
+    drift=1e-13,
+    energy_error=1e-8,
+    package=DISTRIBUTION,
+    color=BLUE,
+    line=("-", 2.6),
+    exact=_exact,
+)

@@ -1,0 +1,73 @@
+"""Pinocchio as an engine: newton_euler's integrators with Pinocchio's equations, evaluated by Python."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from functools import partial
+from typing import Any
+
+from crosscheck.engines.adaptive import python_options
+from crosscheck.engines.engine import Engine, FixedSteps, without_forces
+from crosscheck.support.colors import GREEN
+from newton_euler.equations.system import System
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import StoppedError, Trajectory
+
+LOOSER_TOLERANCE_FACTOR = 5.0
+"""Factor on the tolerances of a refined run in Python that is repeated because it stopped. Accelerations of
+nearly singular loops and of stiff machines may have too few accurate digits for `REFINED_RTOL`."""
+
+
+def _run(scene: Scene) -> Trajectory:
+    """Simulate a scene in Pinocchio with default settings."""
+    return _simulate(scene, python_options(scene, refined=False))
+
+
+def _simulate(scene: Scene, methods: Sequence[dict[str, Any]]) -> Trajectory:
+    """Simulate a scene in Pinocchio with the first options with which the run does not stop."""
+    import urdf
+
+    for method in methods[:-1]:
+        with suppress(StoppedError):
+            return urdf.simulate(scene, **method)
+    return urdf.simulate(scene, **methods[-1])
+
+
+def _refined(scene: Scene, in_full: bool = False) -> Trajectory:
+    """Simulate a scene in Pinocchio at refined tolerances, or at looser ones if that run stops."""
+    methods = python_options(scene, refined=True)
+    looser = {name: LOOSER_TOLERANCE_FACTOR * methods[-1][name] for name in ("rtol", "atol")}
+    return _simulate(scene if in_full else without_forces(scene), [*methods, methods[-1] | looser])
+
+
+def _systems(scene: Scene) -> tuple[System, ...]:
+    """Return Pinocchio's equations of motion."""
+    from urdf.dynamics import PinocchioSystem
+
+    return (PinocchioSystem(scene),)
+
+
+def _rk4(scene: Scene, step: float) -> Trajectory:
+    """Simulate a scene in Pinocchio with RK4 at a step, s."""
+    import urdf
+
+    return urdf.simulate(scene, "RK4", step=step)
+
+
+# Pinocchio uses the same methods as newton_euler, with equations evaluated in Python
+ENGINE = Engine(
+    "pinocchio",
+    _run,
+    _refined,
+    _systems,
+    trajectory_error=1e-9,
+    drift=1e-9,
+    energy_error=1e-8,
+    package="pin",
+    label="Pinocchio",
+    color=GREEN,
+    line=(":", 1.8),
+    refined_in_full=partial(_refined, in_full=True),
+    fixed_steps=FixedSteps("RK4", _rk4, steps=10),  # Python calls Pinocchio four times per step
+)
