@@ -70,6 +70,7 @@ def figures_command(output: Path) -> int:
     help="Measure the throughput of a batch of this many runs from random states instead.",
 )
 @click.option("--sensitivities", is_flag=True, help="Time parameter sensitivities instead.")
+@engines_option
 @folder_option("output/bench/SCENE")
 @verbose_option
 def bench_command(
@@ -79,12 +80,14 @@ def bench_command(
     rhs: bool,
     batch: int | None,
     sensitivities: bool,
+    engines: list[str] | None,
     output: Path | None,
 ) -> int:
     """Benchmark all engines: run time against error (work-precision).
 
     SCENE is the name of a library scene or a model file (see run).
     """
+    from crosscheck.engines.registry import ENGINES, choose
     from crosscheck.loading.load import with_excitation
     from crosscheck.studies.benchmark.run import BenchmarkRequest, bench
 
@@ -94,7 +97,8 @@ def bench_command(
         names = " and ".join(f"--{kind}" for kind in kinds)
         raise CrosscheckError(f"{names} are different benchmarks; choose one")
     options = with_excitation(scene, scene_options(settings))
-    request = BenchmarkRequest(load_with_warnings(scene, options), scene, options, error, batch or 0)
+    loaded, chosen = load_with_warnings(scene, options), choose(engines or list(ENGINES))
+    request = BenchmarkRequest(loaded, scene, options, chosen, error, batch or 0)
     with progress_shown() as progress:
         found, written = bench(request, kinds[0], output, progress)
     more = f"more  -v; {next_step('report', written[0].parent)}"

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+from crosscheck.engines.benchmarks import Benchmarks
 from crosscheck.library import REFERENCE_QUANTITIES
 from newton_euler.equations.system import Evaluation, System
 from newton_euler.errors import DISTRIBUTION
@@ -77,6 +78,9 @@ class Engine:
         refined_in_full: as `refined`, but always with reactions and actuator forces; `refined` is used if
             None.
         fixed_steps: runs at a fixed step; None if the engine has none, or none that repeats to round-off.
+        at_tolerance: simulates a scene at a relative tolerance, with error control and rigid constraints;
+            None if the engine has no such runs, or equations that are not independent of newton_euler's.
+        benchmarks: imports the benchmarks of the engine.
     """
 
     name: str
@@ -95,6 +99,8 @@ class Engine:
     soft_constraints: SoftConstraints | None = None
     refined_in_full: Callable[[Scene], Trajectory] | None = None
     fixed_steps: FixedSteps | None = None
+    at_tolerance: Callable[[Scene, float], Trajectory] | None = None
+    benchmarks: Callable[[], Benchmarks] = Benchmarks
 
 
 def without_forces(scene: Scene) -> Scene:

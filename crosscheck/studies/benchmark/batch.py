@@ -1,7 +1,7 @@
-"""Batch benchmark: runs per second of newton_euler and MuJoCo at an error, on one thread and on all cores.
+"""Batch benchmark: runs per second of engines at an error, on one thread and on all cores.
 
 A batch is many runs of one scene. They start from random states that satisfy all constraints. For each engine
-of `crosscheck.studies.benchmark.batch_engines`, a sample of these runs selects the fastest setting whose
+with batches (see `crosscheck.engines.benchmarks`), a sample of these runs selects the fastest setting whose
 largest error is at most the given error. Generation of the states, and their conversion for each engine, is
 not timed.
 
@@ -21,16 +21,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from crosscheck.engines.benchmarks import BatchEngine, CompletedBatch, poses_only
+from crosscheck.engines.engine import Engine
+from crosscheck.engines.registry import SOLVER
 from crosscheck.report.table import Lines, Part, Rows, Table, number_columns, text_columns
-from crosscheck.studies.benchmark.batch_engines import (
-    CompletedBatch,
-    Engine,
-    MuJoCoRollout,
-    NewtonEulerBatch,
-    NewtonEulerScalar,
-)
 from crosscheck.studies.benchmark.batch_settings import TriedSetting, fastest_setting
-from crosscheck.studies.benchmark.ladders import BASELINE_ENGINE, poses_only
 from crosscheck.studies.benchmark.reference import batch_references
 from crosscheck.studies.benchmark.timing import Progress, Timed, time_alternately
 from crosscheck.support.errors import CrosscheckError, reason_of
@@ -52,9 +47,9 @@ MAX_POSE_BYTES = 150_000_000
 SCALAR_SAMPLE_EVERY = 8
 """Scalar code simulates every 8th run of a batch, since it needs several times as long as vector code."""
 
-MUJOCO_TIME_LIMIT = 10.0
-"""Longest duration of MuJoCo's batch on one thread, s; if all runs would take longer, the batch has fewer
-runs."""
+TIME_LIMIT = 10.0
+"""Longest duration of the batch of another engine on one thread, s; if all runs would take longer, the batch
+has fewer runs."""
 
 
 class Batch(NamedTuple):
@@ -66,7 +61,7 @@ class Batch(NamedTuple):
         states: initial state of each run.
     """
 
-    engine: Engine
+    engine: BatchEngine
     setting: TriedSetting
     states: Sequence[State]
 
@@ -153,11 +148,14 @@ def with_fewer_outputs(scene: Scene, runs: int) -> Scene:
     return replace(scene, output_period=scene.duration / intervals)
 
 
-def benchmark_batch(given: Scene, runs: int, error: float, progress: Progress) -> BatchBenchmark:
-    """Measure the throughput of all engines at an error.
+def benchmark_batch(
+    given: Scene, engines: Sequence[Engine], runs: int, error: float, progress: Progress
+) -> BatchBenchmark:
+    """Measure the throughput of newton_euler and of other engines at an error.
 
     Args:
         given: the scene, with its own outputs.
+        engines: engines; those without batches are left out.
         runs: number of runs of a batch.
         error: largest allowed error of a run, m and rad.
         progress: called with the name of each stage.
@@ -174,22 +172,29 @@ def benchmark_batch(given: Scene, runs: int, error: float, progress: Progress) -
     exact, uncertainty = batch_references(scene, sample, error, progress)
     known, poses = [sample[k] for k in exact], list(exact.values())
     # The fastest setting of each engine on the sample
-    lanes = NewtonEulerBatch(scene)
+    own = SOLVER.benchmarks()
+    assert own.batch is not None
+    assert own.one_by_one is not None
+    lanes = own.batch(scene, given.output_period)
     lanes_setting = fastest_setting(lanes, known, poses, error, progress)
     batches = [Batch(lanes, lanes_setting, states)]
     missing: dict[str, str] = {}
-    try:
-        rollout = MuJoCoRollout(scene, given.output_period)
-        rollout_setting = fastest_setting(rollout, known, poses, error, progress)
-    except (NewtonEulerError, CrosscheckError) as reason:
-        missing[MuJoCoRollout.name] = reason_of(reason)
-    else:
-        max_runs = MUJOCO_TIME_LIMIT * len(known) / rollout_setting.seconds
-        batches.append(Batch(rollout, rollout_setting, states[: max(len(known), int(max_runs))]))
+    for engine in engines:
+        make = engine.benchmarks().batch
+        if make is None or engine.name == SOLVER.name:
+            continue
+        try:
+            other = make(scene, given.output_period)
+            setting = fastest_setting(other, known, poses, error, progress)
+        except (NewtonEulerError, CrosscheckError) as reason:
+            missing[engine.name] = reason_of(reason)
+        else:
+            max_runs = TIME_LIMIT * len(known) / setting.seconds
+            batches.append(Batch(other, setting, states[: max(len(known), int(max_runs))]))
     # Times of the batches; engines and numbers of threads alternate
     cases = [*product(batches, thread_counts())]
     every = min(SCALAR_SAMPLE_EVERY, runs)
-    cases.append((Batch(NewtonEulerScalar(scene), lanes_setting, states[::every]), 1))
+    cases.append((Batch(own.one_by_one(scene), lanes_setting, states[::every]), 1))
     first_batches: dict[str, CompletedBatch] = {}
     calls = [partial(_time_batch, batch, threads, first_batches) for batch, threads in cases]
     times_of_cases = time_alternately(calls, [BATCH_REPEATS] * len(calls), progress)
@@ -245,7 +250,7 @@ def parts(result: BatchBenchmark) -> list[Part]:
     rows: Rows = []
     for rate in result.rates:
         scaling = rate.per_second / rates[rate.engine, 1]
-        ratio = rates[BASELINE_ENGINE, rate.threads] / rate.per_second
+        ratio = rates[SOLVER.name, rate.threads] / rate.per_second
         rows.append(
             [
                 rate.engine,
@@ -254,7 +259,7 @@ def parts(result: BatchBenchmark) -> list[Part]:
                 f"{rate.per_second:.4g}",
                 rate.spread,
                 f"{scaling:.2f}",
-                "-" if rate.engine == BASELINE_ENGINE else f"{ratio:.3g}",
+                "-" if rate.engine == SOLVER.name else f"{ratio:.3g}",
                 f"{rate.setup:.2f}",
             ]
         )

@@ -11,8 +11,7 @@ import time
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from crosscheck.studies.benchmark.batch_engines import Engine
-from crosscheck.studies.benchmark.ladders import Ladder, Options, Poses
+from crosscheck.engines.benchmarks import BatchEngine, Ladder, Options, Poses
 from crosscheck.studies.benchmark.reference import pose_errors
 from crosscheck.studies.benchmark.timing import Progress
 from crosscheck.studies.bisection import smallest
@@ -46,7 +45,7 @@ class TriedSetting(NamedTuple):
 
 
 def fastest_setting(
-    engine: Engine, states: Sequence[State], exact: Sequence[Poses], error: float, progress: Progress
+    engine: BatchEngine, states: Sequence[State], exact: Sequence[Poses], error: float, progress: Progress
 ) -> TriedSetting:
     """Find the fastest setting of an engine whose largest error over the states is at most `error`.
 
@@ -88,7 +87,12 @@ def fastest_setting(
 
 
 def _try_setting(
-    engine: Engine, name: str, options: Options, states: Sequence[State], exact: Sequence[Poses], error: float
+    engine: BatchEngine,
+    name: str,
+    options: Options,
+    states: Sequence[State],
+    exact: Sequence[Poses],
+    error: float,
 ) -> TriedSetting:
     """Simulate the sample at a setting, `SAMPLE_TRIES` times if the setting reaches the error.
 

@@ -1,10 +1,11 @@
 """Reference motion of a benchmark, from which errors of engines are measured, and its uncertainty.
 
-The reference is Pinocchio's motion at a tolerance near the limit of double precision. There are three
-different equations of motion: Pinocchio's, and newton_euler's in Cartesian (body) and in relative (joint)
-coordinates. If fewer than two of them can run at the tight tolerance, a looser one is used. Pinocchio's
-equations share nothing with newton_euler, whose speed the benchmark assesses. If Pinocchio cannot run a
-scene, the reference is newton_euler's motion in Cartesian coordinates.
+The reference is the motion of an engine with rigid constraints and error control, Pinocchio, at a tolerance
+near the limit of double precision. There are three different equations of motion: Pinocchio's, and
+newton_euler's in Cartesian (body) and in relative (joint) coordinates. If fewer than two of them can run at
+the tight tolerance, a looser one is used. Pinocchio's equations share nothing with newton_euler, whose speed
+the benchmark assesses. If Pinocchio cannot run a scene, the reference is newton_euler's motion in Cartesian
+coordinates.
 
 The uncertainty is the largest difference of the reference from other runs: the same run at twice the
 tolerance, and newton_euler's runs. An error of Pinocchio would therefore show in the uncertainty.
@@ -18,17 +19,18 @@ from functools import partial
 
 import numpy as np
 
-import newton_euler
-import urdf
-from crosscheck.studies.benchmark.ladders import Poses
+from crosscheck.engines.benchmarks import Poses
+from crosscheck.engines.registry import ENGINES, SOLVER
 from crosscheck.studies.benchmark.timing import Progress
 from crosscheck.support.errors import CrosscheckError, reason_of
 from crosscheck.support.time_limits import time_limit
+from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.runs.simulate import simulate
 
 REFERENCE_RTOLS = (5e-14, 1e-11)
 """Relative tolerances of the reference, tried in this order with atol = 0.01 rtol.
@@ -93,7 +95,7 @@ def reference(scene: Scene, progress: Progress, rtols: Sequence[float] = REFEREN
     missing: dict[str, str] = {}
     for rtol in rtols:
         runs = _runs(scene, rtol, missing, progress)
-        # names begin with the equations of motion, as in "Pinocchio, DOP853 rtol 5e-14"
+        # names begin with the equations of motion, as in "Pinocchio, rtol 5e-14"
         if len({name.split(",")[0] for name in runs}) > 1:
             break
     else:
@@ -132,12 +134,12 @@ def _candidates(scene: Scene, tightest: float) -> dict[str, Callable[[], Traject
     """
     runs: dict[str, Callable[[], Trajectory]] = {}
     for rtol in (tightest, 2.0 * tightest):
-        runs[f"Pinocchio, DOP853 rtol {rtol:.0e}"] = partial(
-            urdf.simulate, scene, rtol=rtol, atol=0.01 * rtol
-        )
-    for formulation in ("cartesian", "relative"):
-        runs[f"newton_euler {formulation}, DOP853 rtol {tightest:.0e}"] = partial(
-            newton_euler.simulate, scene, formulation=formulation, rtol=tightest, atol=0.01 * tightest
+        for engine in ENGINES.values():
+            if engine.at_tolerance is not None:
+                runs[f"{engine.label}, rtol {rtol:.0e}"] = partial(engine.at_tolerance, scene, rtol)
+    for formulation in reversed(FORMULATIONS):
+        runs[f"{SOLVER.name} {formulation}, rtol {tightest:.0e}"] = partial(
+            simulate, scene, formulation=formulation, rtol=tightest, atol=0.01 * tightest
         )
     return runs
 

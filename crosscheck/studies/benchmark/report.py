@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from crosscheck.engines.palette import palette
+from crosscheck.engines.registry import SOLVER
 from crosscheck.report.plots import own_style, png
 from crosscheck.report.table import Cell, Lines, Part, Rows, Table, number_columns, text_columns
-from crosscheck.studies.benchmark.ladders import BASELINE_ENGINE, ENGINES
 from crosscheck.studies.benchmark.reference import Reference
 from crosscheck.studies.benchmark.timing import rounded, time_text
 from crosscheck.studies.benchmark.work_precision import Measurement, WorkPrecision
@@ -47,12 +47,14 @@ class Benchmark:
         scene: the scene.
         reference: motion from which errors are measured.
         measured: time and error of all settings.
+        engines: names of the engines.
     """
 
     title: str
     scene: Scene
     reference: Reference
     measured: WorkPrecision
+    engines: Sequence[str]
 
     @property
     def run(self) -> str:
@@ -117,8 +119,8 @@ def verdict(result: Benchmark, error: float) -> str:
         return (
             f"error {error:g} is below the uncertainty of the reference, {result.reference.uncertainty:.1e}"
         )
-    baseline, texts = result.fastest_setting(BASELINE_ENGINE, error), list[str]()
-    for engine in ENGINES:
+    baseline, texts = result.fastest_setting(SOLVER.name, error), list[str]()
+    for engine in result.engines:
         m = result.fastest_setting(engine, error)
         if m is None:
             ran = any(one.engine == engine for one in result.measured.measurements)
@@ -135,13 +137,13 @@ def summary(result: Benchmark, error: float) -> Iterator[Part]:
     """Yield the short report: times of each engine for some errors, and its fastest setting for `error`."""
     errors = TABLE_ERRORS[::2]
     rows: Rows = []
-    for engine in ENGINES:
+    for engine in result.engines:
         fastest = [result.fastest_setting(engine, each) for each in errors]
         rows.append([engine, *("-" if m is None else rounded(1e3 * m.median) for m in fastest)])  # ms
     yield Table(
         "", [*text_columns("ms for an error of"), *number_columns(*(f"{each:.0e}" for each in errors))], rows
     )
-    wanted = [m for engine in ENGINES if (m := result.fastest_setting(engine, error))]
+    wanted = [m for engine in result.engines if (m := result.fastest_setting(engine, error))]
     yield Lines("", [f"{m.engine} for {error:g}: {m.name}" for m in wanted])
 
 
@@ -151,15 +153,15 @@ def _times(result: Benchmark) -> Table:
     The column `ratio` is the time of an engine divided by newton_euler's time.
     """
     heads = number_columns("error")
-    for engine in ENGINES:
-        heads += number_columns(engine, "spread", *(() if engine == BASELINE_ENGINE else ("ratio",)))
+    for engine in result.engines:
+        heads += number_columns(engine, "spread", *(() if engine == SOLVER.name else ("ratio",)))
     rows: Rows = []
     for error in TABLE_ERRORS:
-        baseline, row = result.fastest_setting(BASELINE_ENGINE, error), list[str | Cell]()
-        for engine in ENGINES:
+        baseline, row = result.fastest_setting(SOLVER.name, error), list[str | Cell]()
+        for engine in result.engines:
             m = result.fastest_setting(engine, error)
             row += ["-", ""] if m is None else [rounded(1e3 * m.median), m.spread]
-            if engine != BASELINE_ENGINE:
+            if engine != SOLVER.name:
                 row.append("" if m is None or baseline is None else rounded(m.ratio(baseline)))
         rows.append([f"{error:.0e}", *row])
     return Table("ms of the fastest setting for each error, m and rad", heads, rows)
@@ -169,7 +171,7 @@ def _settings(result: Benchmark) -> Table:
     """Tabulate the Pareto-optimal settings of each engine; errors below the uncertainty are shown as "<="."""
     unknown = result.reference.uncertainty
     rows: Rows = []
-    for engine in ENGINES:
+    for engine in result.engines:
         rows.append(engine)  # a text instead of cells is a heading
         for m in result.pareto_optimal(engine):
             errors = [e if e > unknown else unknown for e in (m.error_position, m.error_angle)]
@@ -217,7 +219,7 @@ def picture(result: Benchmark) -> bytes:
 
     drawn = Figure(figsize=(9.0, 5.0), layout="constrained")
     ax = drawn.add_subplot()
-    for engine, color in palette(list(ENGINES)).items():
+    for engine, color in palette(result.engines).items():
         points = [m for m in result.measured.measurements if m.engine == engine]
         if points:
             ax.plot(*_points(points).T, ".", color=color, markersize=4, alpha=0.3)

@@ -19,18 +19,15 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from timeit import Timer
-from typing import NamedTuple
 
+from crosscheck.engines.benchmarks import RightHandSide, poses_only
+from crosscheck.engines.engine import Engine
+from crosscheck.engines.registry import SOLVER, choose
 from crosscheck.report.table import Lines, Part, Rows, Table, number_columns, text_columns
-from crosscheck.studies.benchmark.ladders import BASELINE_ENGINE, poses_only
 from crosscheck.studies.benchmark.timing import Progress, Timed, time_alternately
 from crosscheck.support.errors import reason_of
 from crosscheck.support.processes import ProcessLostError, run_in_processes
-from newton_euler import compile_scene
 from newton_euler.codegen.cache import CACHE_VARIABLE
-from newton_euler.compiled.outputs import time_function
-from newton_euler.integrators.options import FormulationName
 from newton_euler.model.scene import Scene
 
 BATCH_DURATION = 1e-3
@@ -49,24 +46,12 @@ MEMORY_FRACTION = 0.4
 """Largest address space of the loading process, as a fraction of the machine's memory."""
 
 
-class RightHandSide(NamedTuple):
-    """Right-hand side of an engine for one scene, ready to be called.
-
-    Attributes:
-        repeat: makes a number of calls and returns their duration, s.
-        operations: number of floating-point operations in one call; None if it is unknown.
-    """
-
-    repeat: Callable[[int], float]
-    operations: int | None = None
-
-
 @dataclass(frozen=True)
 class Timing(Timed):
     """Times of one interface to an engine's right-hand side; `Timed` has their median and spread.
 
     Attributes:
-        way: the interface: engine and function, a key of `RIGHT_HAND_SIDES`.
+        way: the interface: engine and function, a key of `right_hand_sides`.
         operations: number of floating-point operations in one call; None if it is unknown.
         times: mean duration of a call in each batch, s; empty if the engine cannot run the scene.
         load: loading time, s.
@@ -82,78 +67,28 @@ class Timing(Timed):
     @property
     def is_baseline(self) -> bool:
         """True for interfaces to newton_euler, with which the other engines are compared."""
-        return self.way.startswith(BASELINE_ENGINE)
+        return self.way.startswith(SOLVER.name)
 
 
-def _newton_euler(scene: Scene, formulation: FormulationName) -> RightHandSide:
-    """Make newton_euler's native right-hand side, which a native loop calls.
-
-    Args:
-        scene: the scene.
-        formulation: coordinates of the equations: "relative" (of joints) or "cartesian" (of bodies).
-    """
-    compiled = compile_scene(scene, formulation=formulation, stabilization="none")
-    call = partial(time_function, compiled.function("derivative"), compiled.start)
-    return RightHandSide(call, compiled.operations["derivative"])
-
-
-def _mj_forward(scene: Scene) -> RightHandSide:
-    """Make MuJoCo's right-hand side, called from Python."""
-    from mjcf.benchmark_kernels import forward
-
-    return RightHandSide(Timer(forward(scene)).timeit)
-
-
-def _mj_step(scene: Scene) -> RightHandSide:
-    """Make MuJoCo's steps with the Euler integrator, in a loop in C; a step evaluates the equations once."""
-    from mjcf.benchmark_kernels import steps
-
-    take_steps = steps(scene)
-    return RightHandSide(lambda count: Timer(partial(take_steps, count)).timeit(1))
-
-
-def _pinocchio(scene: Scene, lcaba: tuple[float, int] | None) -> RightHandSide:
-    """Make Pinocchio's right-hand side for mechanisms with loops, called from Python.
-
-    Args:
-        scene: the scene.
-        lcaba: regularization mu and number of proximal iterations of `lcaba`, Pinocchio's articulated-body
-            algorithm with constraints; None for `constraintDynamics`, which factorizes the constraints.
-    """
-    from urdf.benchmark_kernels import equations_of
-
-    # alpha: gain of Baumgarte stabilization
-    return RightHandSide(Timer(equations_of(scene, alpha=0.0, lcaba=lcaba).acceleration).timeit)
-
-
-def _aba(scene: Scene) -> RightHandSide:
-    """Make Pinocchio's articulated-body algorithm for mechanisms without loops, called from Python."""
-    from urdf.benchmark_kernels import articulated_bodies
-
-    return RightHandSide(Timer(articulated_bodies(scene)).timeit)
-
-
-RIGHT_HAND_SIDES: dict[str, Callable[[Scene], RightHandSide]] = {
-    "newton_euler relative": partial(_newton_euler, formulation="relative"),
-    "newton_euler cartesian": partial(_newton_euler, formulation="cartesian"),
-    "mujoco mj_forward": _mj_forward,
-    "mujoco mj_step Euler in C": _mj_step,
-    "pinocchio aba": _aba,
-    "pinocchio constraintDynamics": partial(_pinocchio, lcaba=None),
-    "pinocchio lcaba, mu 1e-6": partial(_pinocchio, lcaba=(1e-6, 1)),
-}
-"""Functions that make a right-hand side, by engine and interface."""
+def right_hand_sides(engines: Sequence[Engine]) -> dict[str, Callable[[Scene], RightHandSide]]:
+    """Return functions that make a right-hand side, by engine and interface, such as "mujoco mj_forward"."""
+    return {
+        f"{engine.name} {interface}": make
+        for engine in engines
+        for interface, make in engine.benchmarks().right_hand_sides.items()
+    }
 
 
 def time_right_hand_sides(
-    scene: Scene, progress: Progress, ways: Iterable[str] | None = None
+    scene: Scene, engines: Sequence[Engine], progress: Progress, ways: Iterable[str] | None = None
 ) -> list[Timing]:
     """Time one right-hand side of each engine at a scene's initial state, and its loading.
 
     Args:
         scene: the scene, without controllers that are Python functions.
+        engines: the engines.
         progress: called with the name of each stage.
-        ways: names of interfaces, keys of `RIGHT_HAND_SIDES`; all of them if None.
+        ways: names of interfaces, keys of `right_hand_sides`; all of them if None.
 
     Raises:
         CrosscheckError: for a scene that cannot be benchmarked.
@@ -161,11 +96,12 @@ def time_right_hand_sides(
     # Request no outputs but poses: others, such as the energy, would make the equations longer
     scene = poses_only(scene)
     # Measure the loading time of each interface in a separate process, and load the interface here
-    timings, sides = {}, {}
-    for way in RIGHT_HAND_SIDES if ways is None else ways:
+    timings, sides, names = {}, {}, [engine.name for engine in engines]
+    makers = right_hand_sides(engines)
+    for way in makers if ways is None else ways:
         progress(f"loading {way}")
         (found,) = run_in_processes(
-            partial(measure_loading, scene),
+            partial(measure_loading, scene, names),
             tasks=[way],
             processes=1,
             done=lambda *_: None,
@@ -173,7 +109,7 @@ def time_right_hand_sides(
         )
         timings[way] = Timing(way, reason=str(found)) if isinstance(found, ProcessLostError) else found
         if not timings[way].reason:
-            sides[way] = RIGHT_HAND_SIDES[way](scene)
+            sides[way] = makers[way](scene)
     # Time one call of each interface
     times = dict(zip(sides, _times(list(sides.values()), progress), strict=True))
     return [replace(timing, times=times.get(way, ())) for way, timing in timings.items()]
@@ -205,17 +141,18 @@ def _calls_per_batch(repeat: Callable[[int], float]) -> int:
     return max(1, round(count * BATCH_DURATION / seconds))
 
 
-def measure_loading(scene: Scene, way: str) -> Timing:
+def measure_loading(scene: Scene, engines: Sequence[str], way: str) -> Timing:
     """Measure the loading time of one interface in this process, without a compilation cache.
 
-    The memory of the process is limited. An error becomes the `reason` of the result.
+    The import of the engine's package is part of it. The memory of the process is limited. An error becomes
+    the `reason` of the result.
     """
     max_bytes = int(MEMORY_FRACTION * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
     resource.setrlimit(resource.RLIMIT_AS, (max_bytes, max_bytes))
     os.environ[CACHE_VARIABLE] = ""
     try:
         start = time.perf_counter()
-        side = RIGHT_HAND_SIDES[way](scene)
+        side = right_hand_sides(choose(engines))[way](scene)
         side.repeat(1)
         seconds = time.perf_counter() - start
     except Exception as error:  # the table reports any error of an engine

@@ -8,17 +8,18 @@ engine with its step or tolerance.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from crosscheck.engines.benchmarks import poses_only
+from crosscheck.engines.engine import Engine
 from crosscheck.library.options import titled
 from crosscheck.report.output import usual_folder
 from crosscheck.report.render import as_json
 from crosscheck.report.table import Cell, Lines, Part, Report
 from crosscheck.studies.benchmark import batch, report, rhs, sensitivities
-from crosscheck.studies.benchmark.ladders import ENGINES, poses_only
 from crosscheck.studies.benchmark.reference import reference
 from crosscheck.studies.benchmark.timing import Progress, machine
 from crosscheck.studies.benchmark.work_precision import measure
@@ -37,6 +38,7 @@ class BenchmarkRequest(NamedTuple):
         scene: the scene.
         source: name of the library scene, or path of the file, that the scene was loaded from.
         options: options of the scene that the user set.
+        engines: the engines.
         error: error of poses, m and rad, that the compared settings reach.
         runs: number of runs of a batch; not used by the other benchmarks.
     """
@@ -44,6 +46,7 @@ class BenchmarkRequest(NamedTuple):
     scene: Scene
     source: str
     options: Mapping[str, str]
+    engines: Sequence[Engine]
     error: float
     runs: int = 0
 
@@ -123,9 +126,9 @@ def _whole_runs(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkResult
     scene = poses_only(wanted.scene)
     motion = reference(scene, progress)
     # for each engine, the functions that load the scene, by variant of the engine's equations
-    loaders = {engine: loaders_of(scene) for engine, loaders_of in ENGINES.items()}
+    loaders = {engine.name: engine.benchmarks().models(scene) for engine in wanted.engines}
     measured = measure(loaders, motion.poses, progress)
-    result = report.Benchmark(wanted.title, scene, motion, measured)
+    result = report.Benchmark(wanted.title, scene, motion, measured, list(loaders))
     return BenchmarkResult(
         data=report.data(result),
         parts=list(report.parts(result)),
@@ -137,13 +140,13 @@ def _whole_runs(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkResult
 
 def _right_hand_sides(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkResult:
     """Time one evaluation of the equations of motion by each engine."""
-    timings = rhs.time_right_hand_sides(wanted.scene, progress)
+    timings = rhs.time_right_hand_sides(wanted.scene, wanted.engines, progress)
     return BenchmarkResult({"right_hand_sides": [asdict(t) for t in timings]}, rhs.parts(timings))
 
 
 def _batch(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkResult:
     """Measure the throughput of batches of runs from random states."""
-    result = batch.benchmark_batch(wanted.scene, wanted.runs, wanted.error, progress)
+    result = batch.benchmark_batch(wanted.scene, wanted.engines, wanted.runs, wanted.error, progress)
     return BenchmarkResult(asdict(result), batch.parts(result))
 
 

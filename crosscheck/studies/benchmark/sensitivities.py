@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from functools import partial
 from timeit import Timer
 
+from crosscheck.engines.benchmarks import poses_only
 from crosscheck.report.table import Lines, Part, Rows, Table, number_columns, text_columns
-from crosscheck.studies.benchmark.ladders import poses_only
 from crosscheck.studies.benchmark.timing import Progress, Timed, time_alternately, time_text
 from newton_euler import compile_scene
 from newton_euler.analysis.sensitivity.tangent_code import tangent_code

@@ -16,7 +16,7 @@ from functools import partial
 
 import numpy as np
 
-from crosscheck.studies.benchmark.ladders import Ladder, Models, Options, Poses, Run
+from crosscheck.engines.benchmarks import Ladder, Models, Options, Poses, Run
 from crosscheck.studies.benchmark.reference import pose_errors
 from crosscheck.studies.benchmark.timing import Progress, Timed, time_alternately
 from crosscheck.support.errors import CrosscheckError, reason_of

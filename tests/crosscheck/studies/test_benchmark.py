@@ -16,11 +16,13 @@ from mechanisms import slider_tree, spinning_top
 from pictures import STALE, digest, made_from, words
 
 import newton_euler
+from crosscheck.engines.benchmarks import Ladder, Model, Run, poses_only
+from crosscheck.engines.mujoco.benchmark import intervals
+from crosscheck.engines.registry import ENGINES
 from crosscheck.report.page import write_report
 from crosscheck.report.table import Table
 from crosscheck.studies.benchmark import reference as benchmark_reference
 from crosscheck.studies.benchmark import work_precision
-from crosscheck.studies.benchmark.ladders import ENGINES, Ladder, Model, Run, intervals, poses_only
 from crosscheck.studies.benchmark.reference import Reference, pose_errors, reference
 from crosscheck.studies.benchmark.report import Benchmark, data, parts, verdict
 from crosscheck.studies.benchmark.timing import machine
@@ -52,7 +54,7 @@ def result(scene, measurements=MADE_UP, uncertainty=1e-12):
     differences = {"another": (0.5 * uncertainty, uncertainty)}
     against = Reference("made up", POSES, differences, {"third": "no reason"})
     measured = WorkPrecision(list(measurements), [], {"mujoco: method": "its last setting"})
-    return Benchmark("tracker (leg_inertia=aligned)", scene, against, measured)
+    return Benchmark("tracker (leg_inertia=aligned)", scene, against, measured, list(ENGINES))
 
 
 # Measuring
@@ -288,8 +290,9 @@ def test_every_engine_and_setting_on_a_short_scene(short, monkeypatch):
     # a few hundred round-off errors of angles of order 1
     assert against.uncertainty < 1e-13
     finest = {}
-    for engine, load in ENGINES.items():
-        measured = work_precision.measure({engine: load(short)}, against.poses, lambda message: None)
+    for engine, each in ENGINES.items():
+        models = each.benchmarks().models(short)
+        measured = work_precision.measure({engine: models}, against.poses, lambda message: None)
         assert not measured.failures
         finest[engine] = min(m.error for m in measured.measurements)
         methods = {m.method for m in measured.measurements}
@@ -306,7 +309,7 @@ def test_every_engine_and_setting_on_a_short_scene(short, monkeypatch):
 def test_pinocchio_runs_scenes_with_quaternions(make):
     scene = poses_only(dataclasses.replace(make(), duration=0.1))
     own = newton_euler.simulate(scene, rtol=1e-12, atol=1e-14)
-    model = ENGINES["pinocchio"](scene)["constraintDynamics, alpha 10"]()
+    model = ENGINES["pinocchio"].benchmarks().models(scene)["constraintDynamics, alpha 10"]()
     found = model.run({"rtol": 1e-10, "atol": 1e-12})
     # a few dozen steps, each off by its tolerance
     assert max(pose_errors(found.poses(), (own.position, own.quaternion))) < 1e-8
@@ -328,7 +331,7 @@ def test_a_reference_comes_from_looser_tolerances_where_the_tight_one_fails(shor
 
     monkeypatch.setattr(benchmark_reference, "_candidates", only_loosely)
     against = reference(short, lambda message: None)
-    assert against.name == "Pinocchio, DOP853 rtol 1e-11"
+    assert against.name == "Pinocchio, rtol 1e-11"
     assert set(against.missing.values()) == {"too tight"}
     # 1e-11 an error of each step, a handful of steps
     assert against.uncertainty < 1e-9

@@ -9,21 +9,20 @@ import numpy as np
 import pytest
 
 import newton_euler
+from crosscheck.engines.benchmarks import CompletedBatch, Ladder, poses_only
+from crosscheck.engines.mujoco.benchmark import Batch, intervals
+from crosscheck.engines.newton_euler.benchmark import Lanes, Scalar
+from crosscheck.engines.registry import ENGINES
 from crosscheck.studies.benchmark import batch, rhs
 from crosscheck.studies.benchmark import reference as benchmark_reference
-from crosscheck.studies.benchmark.batch_engines import (
-    CompletedBatch,
-    MuJoCoRollout,
-    NewtonEulerBatch,
-    NewtonEulerScalar,
-)
 from crosscheck.studies.benchmark.batch_settings import fastest_setting
-from crosscheck.studies.benchmark.ladders import Ladder, intervals, poses_only
 from crosscheck.studies.benchmark.reference import batch_references, pose_errors
 from crosscheck.studies.benchmark.rhs import Timing, fastest_other, time_right_hand_sides
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.euler_parameters import from_rotation_vector
 from newton_euler.model.trajectory import IntegrationError
+
+ALL = tuple(ENGINES.values())
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +62,7 @@ def test_right_hand_sides_are_compared_with_the_fastest_of_the_others():
 def test_right_hand_sides_are_timed_here_and_loaded_in_processes_of_their_own(monkeypatch, short):
     wanted = [OTHER, "pinocchio constraintDynamics"]
     monkeypatch.setattr(rhs, "BATCH_DURATION", 1e-4)
-    timings = time_right_hand_sides(short, lambda message: None, wanted)
+    timings = time_right_hand_sides(short, ALL, lambda message: None, wanted)
     assert [t.way for t in timings] == wanted
     for t in timings:
         assert not t.reason
@@ -74,7 +73,7 @@ def test_right_hand_sides_are_timed_here_and_loaded_in_processes_of_their_own(mo
 def test_a_process_that_fails_says_why(tracker):
     driven = newton_euler.PrescribedMotion("slide_12", newton_euler.Polynomial((0.0, 1.0)))
     (found,) = time_right_hand_sides(
-        dataclasses.replace(tracker, control=(), motions=(driven,)), print, [OTHER]
+        dataclasses.replace(tracker, control=(), motions=(driven,)), ALL, print, [OTHER]
     )
     assert "MuJoCo has no time-dependent equality" in found.reason
     assert found.times == ()
@@ -165,16 +164,16 @@ def test_the_setting_is_the_quickest_of_all_methods():
 
 def quick_batch(monkeypatch, tracker, error):
     """Four runs at one setting of each engine."""
-    monkeypatch.setattr(batch, "MUJOCO_TIME_LIMIT", 0.5)
+    monkeypatch.setattr(batch, "TIME_LIMIT", 0.5)
     monkeypatch.setattr(batch, "SAMPLE_RUNS", 2)
     monkeypatch.setattr(batch, "BATCH_REPEATS", 2)
     own_setting = {"formulation": "relative", "stabilization": "projection", "rtol": 1e-8}
     other_setting = {"integrator": "RK4", "number": 2, "damping_ratio": 0.6}
-    for engine, setting in ((NewtonEulerBatch, own_setting), (MuJoCoRollout, other_setting)):
+    for engine, setting in ((Lanes, own_setting), (Batch, other_setting)):
         ladder = Ladder("method", lambda n: ("setting", {}), [1], setting)
         monkeypatch.setattr(engine, "ladders", lambda self, ladder=ladder: iter([ladder]))
     second = dataclasses.replace(tracker, duration=1.0)
-    return batch.benchmark_batch(second, 4, error, lambda message: None)
+    return batch.benchmark_batch(second, ALL, 4, error, lambda message: None)
 
 
 def test_a_batch_is_measured_for_every_engine(monkeypatch, tracker):
@@ -190,7 +189,7 @@ def test_a_batch_is_measured_for_every_engine(monkeypatch, tracker):
     assert own[0].error < other[0].error < 1e-5
     assert result.uncertainty < 1e-9
     table, lines = batch.parts(result)
-    assert (result.rates[-1].engine, result.rates[-1].threads) == (NewtonEulerScalar.name, 1)
+    assert (result.rates[-1].engine, result.rates[-1].threads) == (Scalar.name, 1)
     assert len(table.rows) == 2 * len(counts) + 1
     assert lines.lines[2].startswith("newton_euler: method, setting (error ")
     for rate in result.rates:
@@ -200,7 +199,7 @@ def test_a_batch_is_measured_for_every_engine(monkeypatch, tracker):
 
 def test_an_engine_that_does_not_reach_the_error_takes_no_part(monkeypatch, tracker):
     result = quick_batch(monkeypatch, tracker, 1e-7)
-    assert {rate.engine for rate in result.rates} == {NewtonEulerBatch.name, NewtonEulerScalar.name}
+    assert {rate.engine for rate in result.rates} == {Lanes.name, Scalar.name}
     _, lines = batch.parts(result)
     assert re.match(r"mujoco.*1e-07.*2 runs", lines.lines[-1])
 

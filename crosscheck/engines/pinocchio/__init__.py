@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any
 
 from crosscheck.engines.adaptive import python_options
+from crosscheck.engines.benchmarks import Benchmarks
 from crosscheck.engines.engine import Engine, FixedSteps, without_forces
 from crosscheck.support.colors import GREEN
 from newton_euler.equations.system import System
@@ -55,6 +56,20 @@ def _rk4(scene: Scene, step: float) -> Trajectory:
     return urdf.simulate(scene, "RK4", step=step)
 
 
+def _benchmarks() -> Benchmarks:
+    """Import the benchmarks."""
+    from crosscheck.engines.pinocchio.benchmark import BENCHMARKS
+
+    return BENCHMARKS
+
+
+def _at_tolerance(scene: Scene, rtol: float) -> Trajectory:
+    """Simulate a scene in Pinocchio with DOP853 at a relative tolerance."""
+    import urdf
+
+    return urdf.simulate(scene, rtol=rtol, atol=0.01 * rtol)
+
+
 # Pinocchio uses the same methods as newton_euler, with equations evaluated in Python
 ENGINE = Engine(
     "pinocchio",
@@ -70,4 +85,6 @@ ENGINE = Engine(
     line=(":", 1.8),
     refined_in_full=partial(_refined, in_full=True),
     fixed_steps=FixedSteps("RK4", _rk4, steps=10),  # Python calls Pinocchio four times per step
+    at_tolerance=_at_tolerance,
+    benchmarks=_benchmarks,
 )

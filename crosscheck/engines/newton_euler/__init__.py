@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from crosscheck.engines.adaptive import native_refined, native_run
+from crosscheck.engines.benchmarks import Benchmarks
 from crosscheck.engines.engine import Engine
 from crosscheck.support.colors import BLUE
 from newton_euler.equations.system import System
@@ -28,6 +29,13 @@ def _systems(scene: Scene) -> tuple[System, ...]:
     return tuple(formulate(scene, name) for name in FORMULATIONS)
 
 
+def _benchmarks() -> Benchmarks:
+    """Import the benchmarks."""
+    from crosscheck.engines.newton_euler.benchmark import BENCHMARKS
+
+    return BENCHMARKS
+
+
 # DOP853 at rtol 1e-10 or Radau, projected onto the constraints after each step
 ENGINE = Engine(
     "newton_euler",
@@ -41,4 +49,5 @@ ENGINE = Engine(
     color=BLUE,
     line=("-", 2.6),
     exact=_exact,
+    benchmarks=_benchmarks,
 )

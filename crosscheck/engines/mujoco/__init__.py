@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from crosscheck.engines.adaptive import expected_run
+from crosscheck.engines.benchmarks import Benchmarks
 from crosscheck.engines.energy import energy_balance, min_energy_scale
 from crosscheck.engines.engine import MAX_RELATIVE_ERROR, Engine, FixedSteps, SoftConstraints, without_forces
 from crosscheck.support.colors import VERMILION
@@ -168,6 +169,13 @@ def _rk4(scene: Scene, step: float) -> Trajectory:
     return mjcf.simulate(scene, timestep=step, integrator="RK4")
 
 
+def _benchmarks() -> Benchmarks:
+    """Import the benchmarks."""
+    from crosscheck.engines.mujoco.benchmark import BENCHMARKS
+
+    return BENCHMARKS
+
+
 # RK4 at a fixed step; MuJoCo's constraints are springs with a time constant of two steps, whose
 # effect on a run depends on the mechanism
 ENGINE = Engine(
@@ -185,4 +193,5 @@ ENGINE = Engine(
     soft_constraints=SoftConstraints(_soft_evaluation, SOLVER_TOLERANCE),
     refined_in_full=partial(_refined, in_full=True),
     fixed_steps=FixedSteps("RK4", _rk4, steps=40),
+    benchmarks=_benchmarks,
 )
