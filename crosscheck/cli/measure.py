@@ -342,42 +342,25 @@ def stress_command(full: bool, output: Path, letters: str) -> int:
     return AGREE
 
 
-def _injected_engines(_: click.Context, __: click.Parameter, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Validate the values of `--engine`, and return each engine once; all engines by default."""
-    from crosscheck.studies.faults import INJECTED_ENGINES
-    from newton_euler.errors import choices
-
-    for name in names:
-        if name not in INJECTED_ENGINES:
-            raise CrosscheckError(f"--engine {name!r}: {choices(name, INJECTED_ENGINES)}")
-    return tuple(dict.fromkeys(names)) or INJECTED_ENGINES
-
-
 @cli.command("faults")
 @click.argument("scene", default="tracker")
 @setting_options
-@click.option(
-    "--engine",
-    "names",
-    multiple=True,
-    metavar="ENGINE",
-    callback=_injected_engines,
-    help="Engine whose model gets faults: newton_euler, mujoco, pinocchio. Repeatable.  [default: all]",
-)
+@engines_option
 @click.option("--reading", is_flag=True, help="Inject faults into the import of the model file SCENE.")
 @folder_option("output/faults/SCENE")
 @verbose_option
 def faults_command(
     scene: str,
     settings: tuple[str, ...],
-    names: tuple[str, ...],
+    engines: list[str] | None,
     reading: bool,
     output: Path | None,
 ) -> int:
     """Fault injection: report which single faults crosscheck detects and locates correctly.
 
-    Each fault is in one engine's model of SCENE, or with --reading in the import of the model file SCENE.
+    Each fault is in the model of one of the engines, or with --reading in the import of the model file SCENE.
     """
+    from crosscheck.engines.registry import ENGINES
     from crosscheck.loading.load import load_scene
     from crosscheck.studies.faults.find import find_faults, find_in_reading
     from crosscheck.studies.faults.report import data, detects_enough, report
@@ -398,7 +381,7 @@ def faults_command(
             search = find_in_reading(import_report, progress)
         else:
             warn_about_import(scene, import_report, loaded)
-            search = find_faults(loaded, progress, names=names)
+            search = find_faults(loaded, progress, names=engines or list(ENGINES))
     wall_time = time.perf_counter() - start
     found = report(loaded.name, search, wall_time)
     write_files({path: as_json({"source": scene, **data(loaded.name, options, search)}, found)})

@@ -20,6 +20,7 @@ from newton_euler.equations.system import Evaluation, System
 from newton_euler.errors import DISTRIBUTION
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.scalars import Array
 
 MAX_RELATIVE_ERROR = 1e-2
 """Largest error of a run that comparisons accept, relative to the mechanism's reach (its size or its largest
@@ -80,6 +81,9 @@ class Engine:
         fixed_steps: runs at a fixed step; None if the engine has none, or none that repeats to round-off.
         at_tolerance: simulates a scene at a relative tolerance, with error control and rigid constraints;
             None if the engine has no such runs, or equations that are not independent of newton_euler's.
+        with_moved_anchor: returns the equations of a scene of which one loop-closing joint, by name, has its
+            point in the second body moved by a vector (3,), m, as a planted fault; None if the engine takes
+            both points from the scene.
         benchmarks: imports the benchmarks of the engine.
     """
 
@@ -100,6 +104,7 @@ class Engine:
     refined_in_full: Callable[[Scene], Trajectory] | None = None
     fixed_steps: FixedSteps | None = None
     at_tolerance: Callable[[Scene, float], Trajectory] | None = None
+    with_moved_anchor: Callable[[Scene, str, Array], System] | None = None
     benchmarks: Callable[[], Benchmarks] = Benchmarks
 
 

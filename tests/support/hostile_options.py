@@ -68,7 +68,7 @@ def option_cases() -> Iterator[Refused]:
         (("run", "robot.urdf", "--set", "gravity=down"), "gravity is 'down'; needed: X,Y,Z"),
         (("run", "robot.urdf", "--set", "gravity=1e300,0,0"), "gravity"),
         (("convert", "scene.json", "scene.json"), "would overwrite the input file scene.json"),
-        (("faults", "scene.json", "--engine", "x"), "--engine 'x': choose from: newton_euler, "),
+        (("faults", "scene.json", "--engines", "x"), "unknown engine 'x'; choose from: newton_euler, "),
         (("faults", "scene.json", "--reading"), "--reading needs an MJCF or a URDF"),
         (("stress", "--only", "zz"), "z"),
         (("figures", "--output", "model.xml"), "cannot write model.xml/figure_5.png"),

@@ -21,6 +21,7 @@ from newton_euler.integrators.fixed_step import RK4_LIMIT
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory, distance
 from newton_euler.runs.assemble import initial_state
+from newton_euler.scalars import Array
 
 MIN_STEPS = 500
 """Smallest number of steps of a run in MuJoCo, for short runs of fast machines: the default step of 1 ms is
@@ -169,6 +170,15 @@ def _rk4(scene: Scene, step: float) -> Trajectory:
     return mjcf.simulate(scene, timestep=step, integrator="RK4")
 
 
+def _with_moved_anchor(scene: Scene, joint: str, shift: Array) -> System:
+    """Return MuJoCo's equations with the anchor of a loop-closing joint moved by a vector (3,), m."""
+    from mjcf.rigid import RigidMuJoCo
+
+    system = RigidMuJoCo(scene)
+    system.move_anchor(joint, shift)
+    return system
+
+
 def _benchmarks() -> Benchmarks:
     """Import the benchmarks."""
     from crosscheck.engines.mujoco.benchmark import BENCHMARKS
@@ -193,5 +203,6 @@ ENGINE = Engine(
     soft_constraints=SoftConstraints(_soft_evaluation, SOLVER_TOLERANCE),
     refined_in_full=partial(_refined, in_full=True),
     fixed_steps=FixedSteps("RK4", _rk4, steps=40),
+    with_moved_anchor=_with_moved_anchor,
     benchmarks=_benchmarks,
 )

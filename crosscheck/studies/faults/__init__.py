@@ -5,6 +5,3 @@ fault with its reason. `catalog.py` and `misreadings.py` list the faults, `injec
 fault, `velocity_terms.py` makes faulty equations, `find.py` searches for the faults, and `report.py`
 tabulates the results. Start reading at `find_faults` in `find.py`.
 """
-
-INJECTED_ENGINES = ("newton_euler", "mujoco", "pinocchio")
-"""Engines into whose models faults are injected."""

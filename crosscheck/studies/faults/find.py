@@ -27,8 +27,7 @@ from crosscheck.compare.levels import EQUATION_LEVELS, Level, compare_pair
 from crosscheck.compare.outlier import diagnose
 from crosscheck.compare.samples import Samples, States
 from crosscheck.engines.engine import Engine
-from crosscheck.engines.registry import ENGINES
-from crosscheck.studies.faults import INJECTED_ENGINES
+from crosscheck.engines.registry import ENGINES, choose
 from crosscheck.studies.faults.catalog import FAULT_SIZES, Fault, catalog
 from crosscheck.studies.faults.misreadings import ALL_BODIES, misreadings
 from crosscheck.studies.faults.velocity_terms import without_velocity_term
@@ -167,7 +166,7 @@ def find_faults(
     scene: Scene,
     progress: Callable[[str], None],
     sizes: Sequence[float] = FAULT_SIZES,
-    names: Sequence[str] = INJECTED_ENGINES,
+    names: Sequence[str] = tuple(ENGINES),
 ) -> FaultSearch:
     """Inject all faults of a scene, one at a time, and search for each by comparing the engines.
 
@@ -175,13 +174,14 @@ def find_faults(
         scene: the scene without a fault.
         progress: called with the number of faults so far, after every tenth fault.
         sizes: relative sizes of the faults.
-        names: names of engines out of `INJECTED_ENGINES`; the engines take the faults alternately.
+        names: names of the engines that take the faults, alternately. They are compared with each other and
+            with the default engines.
 
     Raises:
         CrosscheckError: if the engines disagree on the scene without a fault.
         NewtonEulerError: if no engine can express the scene.
     """
-    fault_free = FaultFree(scene)
+    fault_free = FaultFree(scene, choose(dict.fromkeys([*ENGINES, *names])))
     engines = [fault_free.engines[name] for name in names if name in fault_free.engines]
     if not engines:
         raise fault_free.refusals[names[0]]
@@ -231,20 +231,20 @@ class FaultFree:
         CrosscheckError: if the engines disagree on the scene.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, engines: Sequence[Engine] | None = None) -> None:
         # Equations of each engine, in the first of its formulations (choices of coordinates)
         self.scene, self.samples = scene, samples_of(scene)
         self.engines: dict[str, Engine] = {}
         self.refusals: dict[str, NewtonEulerError] = {}
         self._samples_of_engine: dict[str, Samples] = {}
-        for name, engine in ENGINES.items():
+        for engine in ENGINES.values() if engines is None else engines:
             try:
                 system = engine.systems(scene)[0]
             except NewtonEulerError as error:
-                self.refusals[name] = error
+                self.refusals[engine.name] = error
                 continue
-            self.engines[name] = engine
-            self._samples_of_engine[name] = Samples(system, self.samples.states)
+            self.engines[engine.name] = engine
+            self._samples_of_engine[engine.name] = Samples(system, self.samples.states)
         # Checks of each pair of engines, which must all pass
         pairs = combinations(self._samples_of_engine, 2)
         self._checks = {
@@ -431,15 +431,11 @@ def _with_fault(fault: Fault, engine: Engine, scene: Scene) -> System:
     """Return the equations of motion, in the engine's first formulation, for the scene with the fault.
 
     A scene whose loop cannot be closed raises an error before an engine evaluates it. A wrong point of a
-    loop-closing joint is therefore injected into MuJoCo's compiled model, where it is an anchor.
+    loop-closing joint is therefore injected into the compiled model of an engine that has anchors.
     """
-    if fault.closure_shift is None or engine.name != "mujoco":
+    if fault.closure_shift is None or engine.with_moved_anchor is None:
         return _without_term(fault, engine.systems(fault.inject(scene))[0])
-    from mjcf.rigid import RigidMuJoCo
-
-    system = RigidMuJoCo(scene)
-    system.move_anchor(fault.element, fault.closure_shift)
-    return system
+    return engine.with_moved_anchor(scene, fault.element, fault.closure_shift)
 
 
 def _without_term(fault: Fault, system: System) -> System:

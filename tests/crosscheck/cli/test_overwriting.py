@@ -80,7 +80,7 @@ QUICK = {
     "modes": ((), "modal analysis"),
     "controllers": (("--engines", "newton_euler"), "comparison of controllers"),
     "workspace": (("--vary", "pivot=-1:1:2"), "workspace"),
-    "faults": (("--engine", "newton_euler"), "fault search"),
+    "faults": (("--engines", "newton_euler"), "fault search"),
     "identify": (("measured.csv", "--fit", "bob.mass"), "fit"),
     "sun": (("--axis", "crank=0,0,1", "--latitude", "10", "--date", "2026-03-21"), "solar day"),
     "year": (("--axis", "crank=0,0,1", "--latitude", "10", "--year", "2026"), "solar year"),

@@ -14,8 +14,8 @@ from mechanisms import GRAVITY, pendulum
 from crosscheck.engines.registry import ENGINES
 from crosscheck.library import load
 from crosscheck.report.page import write_report
-from crosscheck.studies.faults import INJECTED_ENGINES, injection
 from crosscheck.studies.faults import find as finding
+from crosscheck.studies.faults import injection
 from crosscheck.studies.faults.catalog import FAULT_SIZES, Fault, catalog, max_faults_of_kind
 from crosscheck.studies.faults.find import (
     READING,
@@ -80,7 +80,7 @@ def found(example):
 
 def test_faults_of_every_kind_are_found_and_blamed(found):
     assert {f.fault.kind for f in found} == KINDS
-    assert {f.engine for f in found} == set(INJECTED_ENGINES)
+    assert {f.engine for f in found} == set(ENGINES)
     count = count_detected(found)
     assert count.total > 100
     assert count.detected == count.located == count.total
@@ -141,14 +141,14 @@ def test_springs_and_armatures_are_told_from_bodies(kind):
     scene = replace(pendulum(), forces=(JointSpring("pivot", 3.0, 0.5),), armatures=(Armature("pivot", 0.3),))
     (fault,) = (f for f in catalog(scene, (1e-3,)) if f.kind == kind)
     sound = FaultFree(scene)
-    for name in INJECTED_ENGINES:
+    for name in ENGINES:
         result = find_fault(fault, ENGINES[name], sound)
         assert result.detection.level == "dynamics"
         assert result.located
         assert not replace(result, fault=replace(fault, expected=frozenset({"ground"}))).located
 
 
-@pytest.mark.parametrize("name", INJECTED_ENGINES)
+@pytest.mark.parametrize("name", ENGINES)
 def test_a_dropped_velocity_term_is_found_at_its_hinge(name):
     """omega x axis v turns the axis of all hinges but the first, before which nothing turns."""
     scene = load("chain")
@@ -271,9 +271,9 @@ def test_engines_have_to_agree_without_a_fault(example, monkeypatch):
 def test_the_command_writes_what_a_page_shows(capsys, tmp_path, monkeypatch):
     few = catalog(load(str(EXAMPLE)), (1e-1, 1e-3))[::12]
     monkeypatch.setattr(finding, "catalog", lambda scene, sizes: few)
-    for engines in (INJECTED_ENGINES, ("pinocchio",)):
-        options = [word for name in engines for word in ("--engine", name)]
-        status, out, _ = run(capsys, "faults", EXAMPLE, *options, "--output", tmp_path)
+    for engines in (tuple(ENGINES), ("pinocchio",)):
+        options = ("--engines", ",".join(engines), "--output", tmp_path)
+        status, out, _ = run(capsys, "faults", EXAMPLE, *options)
         assert status == 0
         written = json.loads((tmp_path / "faults.json").read_text())
         assert written["holds"]
@@ -318,7 +318,7 @@ def test_all_faults_of_a_scene(name):
     """
     found = find_faults(load(name), lambda message: None).found
     large = [f for f in found if f.fault.size is None or f.fault.size >= SMALLEST_REQUIRED]
-    for engine in INJECTED_ENGINES:
+    for engine in ENGINES:
         seen = [f for f in large if f.engine == engine and f.detection]
         assert len(seen) >= 30
         assert not [(f.fault.name, f.detection) for f in seen if f.detection.outlier != engine]
