@@ -13,13 +13,14 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from crosscheck.compare.check import FILE, READING, REFERENCE
+from crosscheck.engines.registry import SOLVER
 from newton_euler.compiled.formulations import FORMULATIONS
 
-NEWTON_EULER = "newton_euler"
+SOLVER_NAME = SOLVER.name
 """The only engine that has several formulations."""
 
 FORMULATION_NAMES = tuple(FORMULATIONS)
-"""Names of the formulations of `NEWTON_EULER`. Its runs use the first one."""
+"""Names of the formulations of `SOLVER_NAME`. Its runs use the first one."""
 
 NEARER_RATIO = 10.0
 """Ratio of the distances of two participants from a third one, beyond which the farther one is the
@@ -79,7 +80,7 @@ class Diagnosis:
         if engine == FILE:
             engine = ""
         elif engine in FORMULATION_NAMES:
-            engine = NEWTON_EULER
+            engine = SOLVER_NAME
         return {"engine": engine, **asdict(self)}
 
     @property
@@ -140,7 +141,7 @@ def _named(participant: str) -> str:
     """Return the name of a participant for sentences."""
     if participant == FILE:
         return "the file"
-    return f"{NEWTON_EULER}'s {participant} formulation" if participant in FORMULATION_NAMES else participant
+    return f"{SOLVER_NAME}'s {participant} formulation" if participant in FORMULATION_NAMES else participant
 
 
 def _listed(participants: Sequence[str]) -> str:

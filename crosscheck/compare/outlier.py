@@ -26,7 +26,7 @@ from crosscheck.compare.check import (
     REFERENCE,
     Check,
 )
-from crosscheck.compare.diagnosis import FORMULATION_NAMES, NEARER_RATIO, NEWTON_EULER, Diagnosis
+from crosscheck.compare.diagnosis import FORMULATION_NAMES, NEARER_RATIO, SOLVER_NAME, Diagnosis
 from crosscheck.compare.reference_values import ReferenceCheck
 from newton_euler.equations.redundancy import NearlyRedundant
 
@@ -111,36 +111,34 @@ def _concerns(diagnosis: Diagnosis, engines: Collection[str]) -> bool:
 def _without(outlier: str, names: Sequence[str], checks: Iterable[Check]) -> tuple[list[str], list[Check]]:
     """Return participants and checks without an outlier.
 
-    If the outlier is a formulation, the other formulation stands for `NEWTON_EULER`. If the outlier is
-    `NEWTON_EULER`, the momentum balances of all engines are removed, since they use forces of `NEWTON_EULER`.
+    If the outlier is a formulation, the other formulation stands for `SOLVER_NAME`. If the outlier is
+    `SOLVER_NAME`, the momentum balances of all engines are removed, since they use forces of `SOLVER_NAME`.
     """
     if outlier in FORMULATION_NAMES:
         kept = [check for check in checks if outlier not in check.between and _is_of_one_formulation(check)]
-        return list(names), [
-            _renamed(check, dict.fromkeys(FORMULATION_NAMES, NEWTON_EULER)) for check in kept
-        ]
-    removed = {outlier, *(FORMULATION_NAMES if outlier == NEWTON_EULER else ())}
-    if outlier == NEWTON_EULER:
+        return list(names), [_renamed(check, dict.fromkeys(FORMULATION_NAMES, SOLVER_NAME)) for check in kept]
+    removed = {outlier, *(FORMULATION_NAMES if outlier == SOLVER_NAME else ())}
+    if outlier == SOLVER_NAME:
         checks = [check for check in checks if check.quantity != MOMENTUM_BALANCE]
     remaining = [name for name in names if name != outlier]
     return remaining, [check for check in checks if not removed & set(check.between)]
 
 
 def _by_formulation(names: Sequence[str], checks: Iterable[Check]) -> tuple[list[str], list[Check]]:
-    """Return participants and checks with the formulations in place of `NEWTON_EULER`."""
+    """Return participants and checks with the formulations in place of `SOLVER_NAME`."""
     participants: list[str] = []
     for name in names:
-        participants += FORMULATION_NAMES if name == NEWTON_EULER else (name,)
+        participants += FORMULATION_NAMES if name == SOLVER_NAME else (name,)
     kept = [check for check in checks if _is_of_one_formulation(check)]
-    return participants, [_renamed(check, {NEWTON_EULER: FORMULATION_NAMES[0]}) for check in kept]
+    return participants, [_renamed(check, {SOLVER_NAME: FORMULATION_NAMES[0]}) for check in kept]
 
 
 def _is_of_one_formulation(check: Check) -> bool:
-    """Return False for a check of `NEWTON_EULER` at a level of equations: the worst over all formulations.
+    """Return False for a check of `SOLVER_NAME` at a level of equations: the worst over all formulations.
 
-    At the level `READING` and in runs, the checks of `NEWTON_EULER` use the first formulation only.
+    At the level `READING` and in runs, the checks of `SOLVER_NAME` use the first formulation only.
     """
-    return NEWTON_EULER not in check.between or check.level in (READING, *LEVELS_OF_RUNS)
+    return SOLVER_NAME not in check.between or check.level in (READING, *LEVELS_OF_RUNS)
 
 
 def _renamed(check: Check, new_names: Mapping[str, str]) -> Check:
@@ -158,7 +156,7 @@ def _first_difference(
         checks: judged checks.
         wrong: engines that differ from reference values.
     """
-    with_formulations = {*names, *(FORMULATION_NAMES if NEWTON_EULER in names else ())}
+    with_formulations = {*names, *(FORMULATION_NAMES if SOLVER_NAME in names else ())}
     checks = [check for check in checks if set(check.between) <= with_formulations]
     failed = [check for check in checks if not check.agrees]
     if not failed:
@@ -171,7 +169,7 @@ def _first_difference(
     level = min((check.level for check in without_file), key=LEVEL_ORDER.index)
     if any(check.level == level and set(check.between) == set(FORMULATION_NAMES) for check in without_file):
         names, checks = _by_formulation(names, checks)
-        wrong = {FORMULATION_NAMES[0] if name == NEWTON_EULER else name for name in wrong}
+        wrong = {FORMULATION_NAMES[0] if name == SOLVER_NAME else name for name in wrong}
     checks = [check for check in checks if set(check.between) <= set(names)]
     failed_at_level = [
         check for check in checks if check.level == level and not check.agrees and FILE not in check.between
@@ -242,7 +240,7 @@ def _pairs_diagnosis(
     if alone and len(rest) > 1 and not any(pair <= set(rest) for pair in differing_pairs):
         if set(FORMULATION_NAMES) <= set(alone):  # neither formulation agrees with the rest
             of_formulation = _outlier_diagnosis(FORMULATION_NAMES[0], present, rest, checks, failed, "others")
-            return replace(of_formulation, outlier=NEWTON_EULER)
+            return replace(of_formulation, outlier=SOLVER_NAME)
         return _outlier_diagnosis(alone[0], present, rest, checks, failed, "others")
     # Two that differ from each other only: the outlier is much farther from all others than the other one
     suspects = _ordered(names, (name for pair in differing_pairs for name in pair))

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from crosscheck.engines.registry import ENGINES
+from crosscheck.engines.registry import choose
 from crosscheck.library import SCENES, load
 from crosscheck.library.options import options_of
 from crosscheck.report.render import as_json
@@ -170,15 +170,15 @@ def compared(
         A row for each controller, engine and kind of coordinate that has targets, in this order.
     """
     rows = []
-    pairs = list(product(controllers(scene, given), engines))
+    pairs = list(product(controllers(scene, given), choose(engines)))
     for (name, loaded), engine in with_progress(pairs, progress, "run"):
         with_outputs = replace(
             loaded,
             output_period=min(loaded.output_period, loaded.duration / MIN_OUTPUTS),
             outputs=frozenset({"actuation"}),
         )
-        found = performance(loaded, ENGINES[engine].simulate(with_outputs))
-        rows += [ControllerRun(name, engine, kind, each) for kind, each in found.items()]
+        found = performance(loaded, engine.simulate(with_outputs))
+        rows += [ControllerRun(name, engine.name, kind, each) for kind, each in found.items()]
     return rows
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from crosscheck.engines.benchmarks import Benchmarks
 from crosscheck.library import REFERENCE_QUANTITIES
@@ -74,6 +74,7 @@ class Engine:
         min_version: oldest version of the package that can be used.
         color, line: color #rrggbb of a default engine, and dash pattern of matplotlib with width, points;
             thick solid under thin dashed lines, so that all of several equal curves are visible.
+        explicit: integrator of default runs of scenes that are not stiff.
         exact: simulates a scene as accurately as possible, for reference values; `refined` is used if None.
         soft_constraints: the engine's soft constraints; None if its constraints are rigid.
         refined_in_full: as `refined`, but always with reactions and actuator forces; `refined` is used if
@@ -99,6 +100,7 @@ class Engine:
     min_version: str = "0"
     color: str = ""
     line: tuple[str, float] = ("-.", 1.6)
+    explicit: Literal["DOP853", "RK4"] = "DOP853"
     exact: Callable[[Scene], Trajectory] | None = None
     soft_constraints: SoftConstraints | None = None
     refined_in_full: Callable[[Scene], Trajectory] | None = None

@@ -48,27 +48,26 @@ def choose(wanted: Iterable[str]) -> list[Engine]:
     """Return engines by name, in the given order.
 
     Args:
-        wanted: names of engines; or `ALL`, alone, for every engine that is installed. Engines that are
-            installed and cannot be used are among these, too: their runs raise the reason.
+        wanted: names of engines; `ALL` stands for every engine that is installed. Engines that are installed
+            and cannot be used are among these, too: their runs raise the reason.
 
     Raises:
         EngineError: for an engine that is not installed, is too old or cannot be loaded.
         CrosscheckError: for unknown or repeated names, or none.
     """
-    asked = list(wanted)
-    if asked == [ALL]:
-        return [*ENGINES.values(), *(_installed())]
-    known = (*names(), ALL)
+    asked, known = list(wanted), (*names(), ALL)
     if not asked:
         raise CrosscheckError(f"no engine named; choose from: {', '.join(known)}")
     for name in asked:
         if name not in known:
             raise CrosscheckError(f"unknown engine {name!r}; {choices(name, known)}")
-        if name == ALL:
-            raise CrosscheckError(f"{ALL!r} stands for every engine; it is named alone")
         if asked.count(name) > 1:
             raise CrosscheckError(f"engine {name!r} is named {asked.count(name)} times")
-    return [ENGINES.get(name) or _load(name) for name in asked]
+    found: dict[str, Engine] = {}
+    for name in asked:
+        engines = [*ENGINES.values(), *_installed()] if name == ALL else [ENGINES.get(name) or _load(name)]
+        found |= {engine.name: engine for engine in engines if engine.name not in found}
+    return list(found.values())
 
 
 def _points() -> list[EntryPoint]:

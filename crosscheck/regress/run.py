@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from crosscheck.compare.activity import watched_in_new_run
+from crosscheck.engines.registry import SOLVER
 from crosscheck.library import SCENES
 from crosscheck.library.model_files import is_model_file
 from crosscheck.library.options import titled
@@ -267,7 +268,7 @@ def both_runs(scene: Scene, baseline: Baseline) -> dict[str, Trajectory]:
     if stored is None:
         return {}
     try:
-        return {"newton_euler": main_run(scene, baseline.plan.rtol[MAIN_FORMULATION]), "baseline": stored}
+        return {SOLVER.name: main_run(scene, baseline.plan.rtol[MAIN_FORMULATION]), "baseline": stored}
     except NewtonEulerError:
         return {}
 

@@ -323,8 +323,9 @@ def notes(result: EngineComparison) -> Iterator[str]:
     runs = result.trajectories.items()
     implicit = [name for name, run in runs if run.settings.get("integrator") in IMPLICIT]
     if implicit:
+        has_fixed_steps = any(each.explicit == "RK4" for each in result.engines if each.name in implicit)
         rate, steps = fastest_decay(scene), explicit_steps(scene)
-        fixed = f", RK4 steps of {RK4_LIMIT / rate:.2g} s" if "mujoco" in implicit and rate else ""
+        fixed = f", RK4 steps of {RK4_LIMIT / rate:.2g} s" if has_fixed_steps and rate else ""
         needed = f"DOP853 would need {steps:.0f} steps{fixed}"
         yield f"stiff: fastest decay {rate:.2g} 1/s at the start; {needed}; implicit: {', '.join(implicit)}"
 

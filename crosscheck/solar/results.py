@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from crosscheck.engines.registry import SOLVER
 from crosscheck.report.plots import own_style, png
 from crosscheck.report.render import as_json
 from crosscheck.report.table import Report, Table
@@ -54,7 +55,7 @@ def write_day(
     summary, table, motion, plots, recording, *reach_paths = paths
     text = f"# {report.title}\n\n{report.verdict}\n"
     # `sun_seen` has unit vectors (n, 3) to the sun, in the horizontal plane at night
-    runs, directions = {"newton_euler": day.run}, {"sun": day.sun_seen}
+    runs, directions = {SOLVER.name: day.run}, {"sun": day.sun_seen}
     pictures = {
         plots: png(picture(day)),
         recording: recorded(log_run, day.scene, runs, text, report.title, directions=directions),

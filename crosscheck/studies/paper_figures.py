@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from crosscheck.engines.palette import palette
-from crosscheck.engines.registry import ENGINES
+from crosscheck.engines.registry import ENGINES, SOLVER
 from crosscheck.library import load
 from crosscheck.library.tracker import TARGET_HEIGHT
 from crosscheck.report.plots import draw_curve, own_style, png
@@ -54,7 +54,7 @@ def draw(folder: Path, progress: Callable[[str], None]) -> list[Path]:
         progress(name)
         runs[name] = (
             simulate(scene, formulation="cartesian", stabilization="baumgarte")
-            if name == "newton_euler"
+            if name == SOLVER.name
             else engine.simulate(scene)
         )
     with own_style():  # matplotlib's default style

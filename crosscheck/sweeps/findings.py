@@ -13,6 +13,7 @@ from functools import cached_property
 
 from crosscheck.compare.activity import MAX_NAMED, what_acted
 from crosscheck.compare.outcome import Outcome
+from crosscheck.engines.registry import SOLVER
 from crosscheck.report.run import undetermined_lines
 from crosscheck.report.table import Cell
 from crosscheck.sweeps.analysis import Analysis, Effect
@@ -69,7 +70,7 @@ class Findings:
             return Outcome.UNFINISHED
         if not self.checked:
             return None
-        if all(each.engines == ("newton_euler",) for each in self.checked):
+        if all(each.engines == (SOLVER.name,) for each in self.checked):
             return Outcome.ONE_ENGINE_ALONE  # newton_euler also executed the sweep
         if any(each.acting for each in self.checked):  # elements that were not simulated would have acted
             return Outcome.AGREE_ON_A_REDUCED_MODEL

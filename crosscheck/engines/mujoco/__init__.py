@@ -198,6 +198,7 @@ ENGINE = Engine(
     energy_error=1e-8,
     package="mujoco",
     label="MuJoCo",
+    explicit="RK4",
     color=VERMILION,
     line=("--", 1.6),
     soft_constraints=SoftConstraints(_soft_evaluation, SOLVER_TOLERANCE),
