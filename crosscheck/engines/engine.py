@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 from crosscheck.engines.benchmarks import Benchmarks
+from crosscheck.engines.stress import StressSettings
 from crosscheck.library import REFERENCE_QUANTITIES
 from newton_euler.equations.system import Evaluation, System
 from newton_euler.errors import DISTRIBUTION
@@ -85,6 +86,7 @@ class Engine:
         with_moved_anchor: returns the equations of a scene of which one loop-closing joint, by name, has its
             point in the second body moved by a vector (3,), m, as a planted fault; None if the engine takes
             both points from the scene.
+        stress_settings: imports the settings of stress tests; the default runs alone if None.
         benchmarks: imports the benchmarks of the engine.
     """
 
@@ -107,7 +109,12 @@ class Engine:
     fixed_steps: FixedSteps | None = None
     at_tolerance: Callable[[Scene, float], Trajectory] | None = None
     with_moved_anchor: Callable[[Scene, str, Array], System] | None = None
+    stress_settings: Callable[[], StressSettings] | None = None
     benchmarks: Callable[[], Benchmarks] = Benchmarks
+
+    def stress(self) -> StressSettings:
+        """Return the settings of stress tests."""
+        return self.stress_settings() if self.stress_settings else StressSettings(self.simulate)
 
 
 def without_forces(scene: Scene) -> Scene:

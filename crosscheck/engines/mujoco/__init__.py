@@ -15,6 +15,7 @@ from crosscheck.engines.adaptive import expected_run
 from crosscheck.engines.benchmarks import Benchmarks
 from crosscheck.engines.energy import energy_balance, min_energy_scale
 from crosscheck.engines.engine import MAX_RELATIVE_ERROR, Engine, FixedSteps, SoftConstraints, without_forces
+from crosscheck.engines.stress import StressSettings
 from crosscheck.support.colors import VERMILION
 from newton_euler.equations.system import Evaluation, System
 from newton_euler.integrators.fixed_step import RK4_LIMIT
@@ -179,6 +180,13 @@ def _with_moved_anchor(scene: Scene, joint: str, shift: Array) -> System:
     return system
 
 
+def _stress_settings() -> StressSettings:
+    """Import the settings of stress tests."""
+    from crosscheck.engines.mujoco.stress import STRESS
+
+    return STRESS
+
+
 def _benchmarks() -> Benchmarks:
     """Import the benchmarks."""
     from crosscheck.engines.mujoco.benchmark import BENCHMARKS
@@ -206,4 +214,5 @@ ENGINE = Engine(
     fixed_steps=FixedSteps("RK4", _rk4, steps=40),
     with_moved_anchor=_with_moved_anchor,
     benchmarks=_benchmarks,
+    stress_settings=_stress_settings,
 )

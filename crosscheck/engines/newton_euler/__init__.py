@@ -5,6 +5,7 @@ from __future__ import annotations
 from crosscheck.engines.adaptive import native_refined, native_run
 from crosscheck.engines.benchmarks import Benchmarks
 from crosscheck.engines.engine import Engine
+from crosscheck.engines.stress import StressSettings
 from crosscheck.support.colors import BLUE
 from newton_euler.equations.system import System
 from newton_euler.errors import DISTRIBUTION
@@ -29,6 +30,13 @@ def _systems(scene: Scene) -> tuple[System, ...]:
     return tuple(formulate(scene, name) for name in FORMULATIONS)
 
 
+def _stress_settings() -> StressSettings:
+    """Import the settings of stress tests."""
+    from crosscheck.engines.newton_euler.stress import STRESS
+
+    return STRESS
+
+
 def _benchmarks() -> Benchmarks:
     """Import the benchmarks."""
     from crosscheck.engines.newton_euler.benchmark import BENCHMARKS
@@ -50,4 +58,5 @@ ENGINE = Engine(
     line=("-", 2.6),
     exact=_exact,
     benchmarks=_benchmarks,
+    stress_settings=_stress_settings,
 )

@@ -10,6 +10,7 @@ from typing import Any
 from crosscheck.engines.adaptive import python_options
 from crosscheck.engines.benchmarks import Benchmarks
 from crosscheck.engines.engine import Engine, FixedSteps, without_forces
+from crosscheck.engines.stress import StressSettings
 from crosscheck.support.colors import GREEN
 from newton_euler.equations.system import System
 from newton_euler.model.scene import Scene
@@ -56,6 +57,13 @@ def _rk4(scene: Scene, step: float) -> Trajectory:
     return urdf.simulate(scene, "RK4", step=step)
 
 
+def _stress_settings() -> StressSettings:
+    """Import the settings of stress tests."""
+    from crosscheck.engines.pinocchio.stress import STRESS
+
+    return STRESS
+
+
 def _benchmarks() -> Benchmarks:
     """Import the benchmarks."""
     from crosscheck.engines.pinocchio.benchmark import BENCHMARKS
@@ -87,4 +95,5 @@ ENGINE = Engine(
     fixed_steps=FixedSteps("RK4", _rk4, steps=10),  # Python calls Pinocchio four times per step
     at_tolerance=_at_tolerance,
     benchmarks=_benchmarks,
+    stress_settings=_stress_settings,
 )

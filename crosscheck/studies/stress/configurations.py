@@ -15,6 +15,7 @@ from functools import partial
 
 import numpy as np
 
+from crosscheck.engines.registry import SOLVER
 from crosscheck.library import load
 from crosscheck.studies.stress.cases import (
     ANGLE_BOUND,
@@ -26,16 +27,12 @@ from crosscheck.studies.stress.cases import (
     simulate_and_measure,
 )
 from crosscheck.studies.stress.runs import (
-    STABILIZED_SETTINGS,
     STANDARD_GRAVITY,
-    TYPICAL_SETTINGS,
     Setting,
     largest_drift,
     largest_energy_error,
-    mujoco_setting,
-    newton_euler_setting,
     parallelogram_error,
-    pinocchio_setting,
+    settings_of,
     with_duration,
 )
 from newton_euler.integrators.projection import joint_violations
@@ -77,23 +74,13 @@ VIOLATED_START = refusal("constraint violation at the start", "m or rad")
 """Bound of scenes whose initial state violates the constraints by more than `CLOSURE_TOLERANCE`, the largest
 violation (m or rad) that newton_euler accepts at a start: the engine must raise an error."""
 
-START_SETTINGS: tuple[Setting, ...] = (
-    *STABILIZED_SETTINGS,
-    mujoco_setting(),
-    mujoco_setting("implicitfast"),
-    pinocchio_setting(),
-    pinocchio_setting(stabilization="projection"),
-    pinocchio_setting(stabilization="none"),
-)
-"""Settings that run from a violating start."""
-
 
 def violated_start_cases(full: bool) -> Iterator[Case]:
     """Yield the cases of topic (g), all of them or (unless `full`) the short form."""
     for offset in START_OFFSETS if full else START_OFFSETS[1::2]:
         name = f"tracker, bodies {offset:.0e} m and rad off"
         # The assembly of a violating state
-        setting = Setting("newton_euler", {"function": "assemble"})
+        setting = Setting(SOLVER.name, {"function": "assemble"})
         yield Case(name, setting, ASSEMBLED, partial(measure_assembled_violation, offset))
         # A scene with a violating initial state, which must raise an error before any engine runs
         if offset > CLOSURE_TOLERANCE:
@@ -115,7 +102,7 @@ def violated_start_cases(full: bool) -> Iterator[Case]:
             degrades=degraded,
             reason=reason,
         )
-        for setting in START_SETTINGS:
+        for setting in settings_of("starts"):
             run = partial(measure_end_violation, offset)
             yield Case(f"{name}, unchecked, {START_DURATION:g} s", setting, bound, run, time_limit=40.0)
 
@@ -199,18 +186,6 @@ fold as a parallelogram or as an antiparallelogram: the configuration is singula
 FLAT_SPEED = 4.0
 """Initial angular velocity of bars that start flat, rad/s."""
 
-SINGULAR_SETTINGS: tuple[Setting, ...] = (
-    *STABILIZED_SETTINGS,
-    newton_euler_setting(formulation="relative", integrator="Radau", rtol=1e-8, atol=1e-10),
-    newton_euler_setting(formulation="relative", integrator="RK4", step=1e-3),
-    mujoco_setting("RK4"),
-    mujoco_setting("implicitfast"),
-    pinocchio_setting(),
-    pinocchio_setting(stabilization="projection"),
-)
-"""Settings of the cases with singular configurations, in the full form. The formulation "relative" has joint
-coordinates."""
-
 CRANK_LENGTH, ROD_LENGTH, CRANK_SPEED = 0.2, 0.7, 12.0
 """Lengths, m, and prescribed angular velocity of the crank, rad/s, of `centered_slider_crank`."""
 
@@ -221,9 +196,9 @@ as far."""
 
 def singular_cases(full: bool) -> Iterator[Case]:
     """Yield the cases of topic (h), all of them or (unless `full`) the short form."""
-    settings = SINGULAR_SETTINGS if full else TYPICAL_SETTINGS
+    settings = settings_of("singular" if full else None)
     for windows in WINDOWS if full else WINDOWS[:2]:
-        for setting in settings if windows < 10 else TYPICAL_SETTINGS:
+        for setting in settings if windows < 10 else settings_of():
             limit = 15.0 if full else 11.0
             passing = with_duration(load("four_bar", N=windows), 5.0, 100, "violation")  # about six passages
             starting = with_flat_start(with_duration(passing, 2.0, 50, "violation"), windows)

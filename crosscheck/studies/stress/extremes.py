@@ -25,15 +25,12 @@ from crosscheck.studies.stress.cases import (
     simulate_and_measure,
 )
 from crosscheck.studies.stress.runs import (
-    TYPICAL_SETTINGS,
     Setting,
-    both_formulations,
     largest_distance,
     largest_energy_error,
-    mujoco_setting,
-    newton_euler_setting,
     parallelogram_error,
-    pinocchio_setting,
+    settings_of,
+    solver_setting,
     symmetric_top,
     top_error,
     with_duration,
@@ -62,18 +59,6 @@ STIFF_BOUND = Bound(
 )
 """Bound on the distance from the reference motion."""
 
-STIFF_SETTINGS: tuple[Setting, ...] = (
-    *both_formulations(),
-    newton_euler_setting("relative", "baumgarte"),
-    newton_euler_setting(integrator="Radau", rtol=1e-6, atol=1e-9),
-    newton_euler_setting(integrator="RK4", step=1e-3),
-    newton_euler_setting(integrator="Euler", step=1e-3),
-    *(mujoco_setting(integrator) for integrator in ("RK4", "Euler", "implicit", "implicitfast")),
-    pinocchio_setting(),
-    pinocchio_setting(integrator="Radau", rtol=1e-6, atol=1e-9),
-)
-"""Settings that run with stiff gains."""
-
 
 def stiff_gain_cases(full: bool) -> Iterator[Case]:
     """Yield the cases of topic (e), all of them or (unless `full`) the short form.
@@ -82,7 +67,7 @@ def stiff_gain_cases(full: bool) -> Iterator[Case]:
     """
     duration, limit = (0.5, 9.0) if full else (0.1, 5.0)  # s; the limit is CPU time
     for stiffness, damping in GAINS if full else GAINS[2:4]:
-        for setting in STIFF_SETTINGS:
+        for setting in settings_of("stiff gains"):
             name = f"tracker, {duration:g} s, K_p {stiffness:g}, K_d {damping:g}"
             measure = partial(measure_distance_from_reference, stiffness, damping, duration)
             yield Case(name, setting, STIFF_BOUND, measure, time_limit=limit)
@@ -104,7 +89,7 @@ def stiff_tracker(stiffness: float, damping: float, duration: float) -> tuple[Sc
         PD(law.joint, stiffness, damping, law.target) for law in scene.control if isinstance(law, PD)
     )
     scene = with_duration(replace(scene, control=control), duration, periods=round(duration / 0.01))
-    return scene, newton_euler_setting(integrator="Radau", rtol=1e-8, atol=1e-11).simulate(scene)
+    return scene, solver_setting(integrator="Radau", rtol=1e-8, atol=1e-11).simulate(scene)
 
 
 def measure_distance_from_reference(
@@ -126,14 +111,6 @@ MASS_RATIOS = (1e-8, 1e-4, 1.0, 1e4, 1e8)
 """Mass of the coupler divided by the mass of a bar, for a four-bar linkage; mass of the last rod divided by
 the mass of the first rod, for a chain of two."""
 
-MASS_SETTINGS = (
-    *TYPICAL_SETTINGS,
-    newton_euler_setting("relative", "baumgarte"),
-    newton_euler_setting("cartesian", "baumgarte"),
-    mujoco_setting("implicitfast"),
-)
-"""Settings that run with extreme mass ratios, in the full form."""
-
 LIMIT_INERTIAS = {
     "thin rod, A = 1e-8 C": (1e-8, 1.0),
     "thin rod, A = 1e-4 C": (1e-4, 1.0),
@@ -149,7 +126,7 @@ TOP_ANGULAR_VELOCITY = np.array([0.3, -0.7, 1.1])
 def mass_ratio_cases(full: bool) -> Iterator[Case]:
     """Yield the cases of topic (f), all of them or (unless `full`) the short form."""
     for ratio in MASS_RATIOS if full else (1e-8, 1.0, 1e8):
-        for setting in MASS_SETTINGS if full else TYPICAL_SETTINGS:
+        for setting in settings_of("masses" if full else None):
             # Four-bar linkage of N = 1 loop, for 0.5 s: in this time the bars do not reach the singular flat
             # configuration
             loop = with_duration(_changed(load("four_bar", N=1), "coupler_0", ratio), 0.5, periods=10)
@@ -171,7 +148,7 @@ def mass_ratio_cases(full: bool) -> Iterator[Case]:
     # Symmetric tops
     duration = 10.0 if full else 2.0
     for name, moments in LIMIT_INERTIAS.items():
-        for setting in TYPICAL_SETTINGS:
+        for setting in settings_of():
             measure = partial(
                 simulate_and_measure, symmetric_top(*moments, TOP_ANGULAR_VELOCITY, duration), top_error
             )
@@ -194,18 +171,6 @@ PUSH_DIRECTION = np.array([1.0, 0.0, 0.0])
 
 PUSH_DURATION = 1.0
 """Duration of runs of the block, s."""
-
-FLOATING_POINT_SETTINGS: tuple[Setting, ...] = (
-    *both_formulations(),
-    newton_euler_setting("cartesian", "baumgarte"),
-    newton_euler_setting(integrator="Radau"),
-    newton_euler_setting(integrator="RK4", step=1e-2),
-    newton_euler_setting(integrator="Euler", step=1e-2),
-    mujoco_setting("RK4"),
-    mujoco_setting("implicitfast"),
-    pinocchio_setting(),
-)
-"""Settings that run with extreme and invalid numbers, in the full form."""
 
 VELOCITY_BOUND = Bound(
     "velocity error",
@@ -293,12 +258,8 @@ WITH_ANSWER: dict[str, tuple[float, float]] = {
 
 
 def floating_point_cases(full: bool) -> Iterator[Case]:
-    """Yield the cases of topic (k), all of them or (unless `full`) those of four settings.
-
-    The four settings are both formulations of newton_euler, MuJoCo with RK4, and Pinocchio.
-    """
-    few = (*FLOATING_POINT_SETTINGS[:2], *FLOATING_POINT_SETTINGS[-3::2])
-    for setting in FLOATING_POINT_SETTINGS if full else few:
+    """Yield the cases of topic (k), all of them or (unless `full`) those of the typical settings."""
+    for setting in settings_of("numbers" if full else None):
         for name, (_, texts) in WITHOUT_ANSWER.items():
             yield Case(
                 name, setting, NO_END_POSITION, partial(measure_end_position, name), required_texts=texts

@@ -12,27 +12,23 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache, partial
-from typing import NamedTuple
+from itertools import product
 
 import numpy as np
 
+from crosscheck.engines.registry import ENGINES, SOLVER, choose
 from crosscheck.library import load
 from crosscheck.studies.bisection import smallest
 from crosscheck.studies.stress.cases import ENERGY_BOUND, Bound, Case, Measurement
 from crosscheck.studies.stress.runs import (
     REFERENCE_SETTING,
-    STABILIZED_SETTINGS,
     Setting,
     balance_of,
-    both_formulations,
     largest_distance,
     largest_drift,
-    mujoco_setting,
-    newton_euler_setting,
-    pinocchio_setting,
+    solver_setting,
     with_duration,
 )
-from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
@@ -57,67 +53,9 @@ DRIFT_BOUND = Bound(
 """Bound on the largest constraint violation in a long run."""
 
 
-class LongRuns(NamedTuple):
-    """Long runs of a scene.
-
-    Attributes:
-        shorter: factor by which runs of the short form are shorter.
-        settings: settings by duration of the full form, s.
-    """
-
-    shorter: float
-    settings: dict[float, tuple[Setting, ...]]
-
-
-LONG_RUNS = {
-    "pendulum": LongRuns(
-        shorter=20.0,
-        settings={
-            1e4: (
-                *STABILIZED_SETTINGS,
-                newton_euler_setting(integrator="Radau", rtol=1e-6, atol=1e-8),
-                newton_euler_setting(integrator="RK4", step=1e-2),
-                newton_euler_setting(integrator="Euler", step=1e-3),
-                *(mujoco_setting(integrator, 1e-2) for integrator in ("RK4", "Euler", "implicitfast")),
-            ),
-            1e3: (mujoco_setting("RK4", 1e-3),),
-            100.0: (pinocchio_setting(),),
-        },
-    ),
-    "four_bar": LongRuns(
-        shorter=20.0,
-        settings={
-            1e3: (newton_euler_setting("relative"), mujoco_setting("implicitfast", 2e-3)),
-            200.0: (newton_euler_setting("cartesian"), mujoco_setting("RK4", 2e-3)),
-            10.0: (
-                *(
-                    newton_euler_setting(formulation, stabilization)
-                    for stabilization in ("baumgarte", "none")
-                    for formulation in FORMULATIONS
-                ),
-                pinocchio_setting(),
-                pinocchio_setting(stabilization="projection"),
-            ),
-        },
-    ),
-    "tracker": LongRuns(
-        shorter=40.0,
-        settings={
-            3600.0: (
-                *STABILIZED_SETTINGS,
-                newton_euler_setting(integrator="Radau", rtol=1e-8, atol=1e-10),
-                newton_euler_setting(integrator="RK4", step=1e-2),
-                mujoco_setting("RK4", 1e-2),
-                mujoco_setting("implicitfast", 1e-2),
-            ),
-            60.0: (pinocchio_setting(),),
-        },
-    ),
-}
-"""Long runs by scene. `STABILIZED_SETTINGS` combine newton_euler's formulations with each method of
-constraint stabilization, and with none.
-
-The tracker comes to rest and its errors do not grow, so that its short form may be 40 times shorter."""
+SHORTER = {"pendulum": 20.0, "four_bar": 20.0, "tracker": 40.0}
+"""Factors by which long runs of the short form are shorter, by scene. The tracker comes to rest and its
+errors do not grow, so that its short form may be 40 times shorter."""
 
 REFERENCE_RUN_DURATIONS = {"pendulum": 1e4, "four_bar": 1e3}
 """Durations, s, of runs with `REFERENCE_SETTING`, by scene."""
@@ -125,19 +63,18 @@ REFERENCE_RUN_DURATIONS = {"pendulum": 1e4, "four_bar": 1e3}
 
 def long_run_cases(full: bool) -> Iterator[Case]:
     """Yield the cases of topic (a), all of them or (unless `full`) the short form."""
-    for scene, runs in LONG_RUNS.items():
-        for duration, settings in runs.settings.items():
-            for setting in settings:
-                # The energy error needs the work of controllers. To integrate this work, MuJoCo would call
-                # Python at every step, so only the drift is measured.
-                measures_drift = scene == "tracker" and setting.engine == "mujoco"
-                bound = DRIFT_BOUND if measures_drift else ENERGY_BOUND
-                yield _long_run(scene, setting, duration, 1.0 if full else runs.shorter, bound)
+    for (scene, shorter), engine in product(SHORTER.items(), ENGINES.values()):
+        for duration, settings in engine.stress().long_runs.get(scene, {}).items():
+            # The energy error needs the work of controllers; without it, only the drift is measured
+            measures_drift = bool(load(scene).control) and not engine.stress().integrates_work
+            bound = DRIFT_BOUND if measures_drift else ENERGY_BOUND
+            for setting in (Setting(engine.name, options) for options in settings):
+                yield _long_run(scene, setting, duration, 1.0 if full else shorter, bound)
     for scene, duration in REFERENCE_RUN_DURATIONS.items():
         thousands = duration / 1000.0
         reason = "1e-11 per thousand seconds, the error expected at tolerances of 1e-13"
         bound = replace(ENERGY_BOUND, survives=1e-11 * thousands, degrades=1e-9 * thousands, reason=reason)
-        yield _long_run(scene, REFERENCE_SETTING, duration, 1.0 if full else LONG_RUNS[scene].shorter, bound)
+        yield _long_run(scene, REFERENCE_SETTING, duration, 1.0 if full else SHORTER[scene], bound)
 
 
 def _long_run(scene: str, setting: Setting, duration: float, shorter: float, bound: Bound) -> Case:
@@ -203,7 +140,7 @@ def _energy_scale(name: str) -> float:
     plus the largest kinetic energy.
     """
     scene = load(name)
-    return balance_of(scene, newton_euler_setting().simulate(scene)).scale
+    return balance_of(scene, solver_setting().simulate(scene)).scale
 
 
 def measure_drift(name: str, duration: float, setting: Setting) -> Measurement:
@@ -271,15 +208,13 @@ STEP_DURATIONS = {"tracker": 5.0, "pendulum": 10.0}
 
 def step_size_cases(full: bool) -> Iterator[Case]:
     """Yield the cases of topic (b), all of them or (unless `full`) those of the tracker."""
-    stepped = [
-        setting for integrator in ("RK4", "Euler") for setting in both_formulations(integrator=integrator)
+    stepped = [Setting(each.name, options) for each in ENGINES.values() for options in each.stress().stepped]
+    adaptive = [
+        Setting(engine.name, options)
+        for engine in ENGINES.values()
+        # without the last one of newton_euler, which compiles for half a minute
+        for options in engine.stress().adaptive[: None if full or engine is not SOLVER else -1]
     ]
-    stepped += [Setting("mujoco", {"integrator": i}) for i in ("RK4", "Euler", "implicit", "implicitfast")]
-    stepped += [pinocchio_setting(integrator=i) for i in ("RK4", "Euler")]
-    adaptive = [setting for integrator in ADAPTIVE for setting in both_formulations(integrator=integrator)]
-    if not full:
-        adaptive.pop()  # Radau in Cartesian coordinates compiles for half a minute
-    adaptive += [pinocchio_setting(integrator=i) for i in ADAPTIVE]
     for scene, duration in STEP_DURATIONS.items() if full else [("tracker", STEP_DURATIONS["tracker"])]:
         for bound, settings in ((STEP_BOUND, stepped), (TOLERANCE_BOUND, adaptive)):
             for setting in settings:
@@ -303,6 +238,7 @@ def measure_largest(name: str, setting: Setting) -> Measurement:
     """
     scene, reference = _reference(name)
     adaptive = setting.options["integrator"] in ADAPTIVE
+    step_option = choose([setting.engine])[0].stress().step_option
 
     def candidate(n: int) -> float:
         """Return the step, s, for n steps per output period; or the tolerance 10^(-n / 10)."""
@@ -310,7 +246,7 @@ def measure_largest(name: str, setting: Setting) -> Measurement:
 
     def succeeds(n: int) -> bool:
         """Return True if the run with candidate n is usable."""
-        tried = {"timestep" if setting.engine == "mujoco" else "step": candidate(n)}
+        tried = {step_option: candidate(n)}
         if adaptive:
             tried = {"rtol": candidate(n), "atol": 1e-2 * candidate(n)}
         try:

@@ -14,14 +14,14 @@ from functools import partial
 
 import numpy as np
 
+from crosscheck.engines.registry import choose
 from crosscheck.library import load
 from crosscheck.studies.stress.cases import Bound, Case, Measurement
 from crosscheck.studies.stress.runs import (
     REFERENCE_SETTING,
-    STABILIZED_SETTINGS,
-    TYPICAL_SETTINGS,
     Setting,
     largest_distance,
+    settings_of,
     with_duration,
 )
 from newton_euler.model.joint import Joint
@@ -42,9 +42,6 @@ redundant constraints and locks the mechanisms."""
 NOISE_SENSITIVITY = 20.0
 """Allowed change of a position, m, divided by the noise, rad or m: a rounded estimate. The noise acts on
 levers of 0.1 m, and turns bodies of 0.4 m, which move by up to 1.5 rad."""
-
-ENGINE_ERRORS = {"newton_euler": 1e-8, "pinocchio": 1e-8, "mujoco": 1e-5}
-"""Position error, m, that each engine may have without noise."""
 
 
 def flat_four_bar(tilt: float, duration: float = 0.3) -> Scene:
@@ -143,14 +140,11 @@ def cases(full: bool) -> Iterator[Case]:
     """Yield all cases or, unless `full`, a few of them."""
     reason = "the effect of the noise; beyond a centimeter the motion is a different one"
     for name in MECHANISMS if full else ("flat_four_bar", "bricard"):
-        settings: tuple[Setting, ...] = TYPICAL_SETTINGS
-        if full and name == "flat_four_bar":
-            others = (setting for setting in TYPICAL_SETTINGS if setting.engine != "newton_euler")
-            # each formulation and constraint stabilization of newton_euler, then the other engines
-            settings = (*STABILIZED_SETTINGS, *others)
+        settings = settings_of("noise" if full and name == "flat_four_bar" else None)
         for noise in NOISES if full else (1e-12, 1e-6):
             for setting in settings:
-                largest = ENGINE_ERRORS[setting.engine] + NOISE_SENSITIVITY * noise
+                error = choose([setting.engine])[0].stress().position_error
+                largest = error + NOISE_SENSITIVITY * noise
                 bound = Bound("distance to the design", "m", survives=largest, degrades=1e-2, reason=reason)
                 yield Case(f"{name}, noise {noise:.0e}, 0.3 s", setting, bound, partial(measure, name, noise))
 

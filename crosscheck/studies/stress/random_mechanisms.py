@@ -18,6 +18,7 @@ import numpy as np
 from crosscheck.compare.check import Check
 from crosscheck.compare.levels import compare_pair
 from crosscheck.compare.samples import Samples, States
+from crosscheck.engines.registry import ENGINES, SOLVER, choose
 from crosscheck.studies.random_scenes import STANDARD_GRAVITY, random_scene
 from crosscheck.studies.stress.cases import Bound, Case, Measurement
 from crosscheck.studies.stress.runs import Setting
@@ -58,16 +59,15 @@ TOLERANCE_RATIO = Bound(
 Values above the tolerance are failures, not merely inaccurate (`degrades`)."""
 
 COMPARED_SYSTEMS = (
-    Setting("newton_euler", {"formulation": "cartesian"}),
-    Setting("pinocchio", {"equations": "constraintDynamics"}),
-    Setting("mujoco", {"equations": "rigid constraints"}),
+    Setting(SOLVER.name, {"formulation": "cartesian"}),
+    *(Setting(name, {"equations": "rigid constraints"}) for name in ENGINES if name != SOLVER.name),
 )
 """Equations that are compared with newton_euler's equations in joint coordinates.
 
 The options are for the report; `_system` chooses the equations by the engine's name."""
 
 NATIVE_SETTINGS = tuple(
-    Setting("newton_euler", {"formulation": name, "code": "native"}) for name in FORMULATIONS
+    Setting(SOLVER.name, {"formulation": name, "code": "native"}) for name in FORMULATIONS
 )
 """Native code of both formulations of newton_euler, compared with the equations evaluated in Python."""
 
@@ -154,12 +154,9 @@ def _tolerance_ratio(check: Check) -> float:
 
 def _system(engine: str, scene: Scene) -> System:
     """Return the equations of motion of a scene by an engine; newton_euler's in Cartesian coordinates."""
-    from mjcf.rigid import RigidMuJoCo
-    from urdf.dynamics import PinocchioSystem
-
-    systems = {"newton_euler": Cartesian, "pinocchio": PinocchioSystem, "mujoco": RigidMuJoCo}
-    system: System = systems[engine](scene)
-    return system
+    if engine == SOLVER.name:
+        return Cartesian(scene)
+    return choose([engine])[0].systems(scene)[0]
 
 
 def native_code_difference(scene: Scene, formulation: str) -> float | None:

@@ -12,6 +12,7 @@ import platform
 from collections.abc import Sequence
 from pathlib import Path
 
+from crosscheck.engines.registry import SOLVER
 from crosscheck.report import render
 from crosscheck.report.table import (
     Cell,
@@ -32,7 +33,7 @@ from crosscheck.support.versions import versions
 STRESS_FILES = ("stress.json", "stress.md")
 """Names of the files that `write` writes."""
 
-FIRST_COLUMN = "newton_euler"
+FIRST_COLUMN = SOLVER.name
 """Engine of the first column of tables."""
 
 LAST_COLUMN = "all"

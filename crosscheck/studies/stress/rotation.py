@@ -11,9 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
+from itertools import product
 
 import numpy as np
 
+from crosscheck.engines.registry import ENGINES
 from crosscheck.library import REFERENCE_QUANTITIES, load
 from crosscheck.library.references import reference_values
 from crosscheck.studies.stress.cases import (
@@ -26,17 +28,11 @@ from crosscheck.studies.stress.cases import (
 )
 from crosscheck.studies.stress.runs import (
     REFERENCE_SETTING,
-    STABILIZED_SETTINGS,
-    TYPICAL_SETTINGS,
     Setting,
-    both_formulations,
-    mujoco_setting,
-    newton_euler_setting,
-    pinocchio_setting,
+    settings_of,
     symmetric_top,
     top_error,
 )
-from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.model.control import PD
 from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism
@@ -72,22 +68,8 @@ REFERENCE_BOUND = Bound(
 """Bound on the largest absolute error of the heavy top's reference values: positions (m), quaternions and
 angular velocities (rad/s)."""
 
-FIXED_STEP_SETTINGS: tuple[Setting, ...] = (
-    *(
-        newton_euler_setting(formulation, integrator="Euler", step=step)
-        for formulation in FORMULATIONS
-        for step in (1e-3, 1e-4)
-    ),
-    *both_formulations(integrator="RK4", step=1e-3),
-    mujoco_setting("Euler", timestep=1e-3),
-    mujoco_setting("implicitfast", timestep=1e-3),
-    mujoco_setting("RK4", timestep=1e-3),
-)
-"""Settings with fixed steps, in which a top turns by 0.1 or 0.01 rad at `FIXED_STEP_SPEED`. "Euler" is the
-semi-implicit method in both engines."""
-
 FIXED_STEP_SPEED = 100.0
-"""Angular speed of the tops that are simulated with fixed steps, rad/s."""
+"""Angular speed of the tops that are simulated with fixed steps, rad/s: 0.1 or 0.01 rad a step."""
 
 HINGE_STIFFNESS, HINGE_DAMPING = 100.0, 20.0
 """PD gains of the driven hinge, N m/rad and N m s/rad. A moment of inertia of 1 kg m^2 is critically damped:
@@ -96,32 +78,28 @@ its angle is x(t) = X (1 - (1 + 10 t) exp(-10 t)) for the target X."""
 
 def cases(full: bool) -> Iterator[Case]:
     """Yield the cases of topic (i), all of them or (unless `full`) the short form."""
-    # Free tops, against the closed form. MuJoCo's default step is 1 ms; above 100 rad/s it also runs with
-    # steps of 0.1 rad. Pinocchio is slow at the highest speed, so that its runs are shorter
-    # newton_euler: its two formulations with each method of constraint stabilization, and Radau; in the short
-    # form its two formulations with default options. A free top has no joint to stabilize, only the norm of
-    # its quaternion: "baumgarte" controls the norm in the Cartesian equations, all others normalize
-    newton_euler_settings = (
-        (*STABILIZED_SETTINGS, newton_euler_setting("relative", integrator="Radau", rtol=1e-8, atol=1e-10))
-        if full
-        else both_formulations()
-    )
+    # Free tops, against the closed form. Engines with a fixed step also run with steps of 0.1 rad above
+    # 100 rad/s; runs of slow ones are shorter at the highest speed. A free top has no joint to stabilize,
+    # only the norm of its quaternion: "baumgarte" controls the norm in the Cartesian equations, all others
+    # normalize
     short_duration = 0.1 if full else 0.02
-    for speed in SPIN_SPEEDS if full else (1.0, 1e4):
-        short_steps = (mujoco_setting("RK4", timestep=0.1 / speed),) if speed > 100.0 else ()
-        for setting in (*newton_euler_settings, mujoco_setting(), *short_steps, pinocchio_setting()):
-            duration = short_duration if setting.engine == "pinocchio" and speed > 1e3 else 1.0
-            turns = speed * duration / (2.0 * np.pi)
-            name = f"free symmetric top, {speed:g} rad/s, {turns:.3g} turns"
+    for speed, engine in product(SPIN_SPEEDS if full else (1.0, 1e4), ENGINES.values()):
+        stress = engine.stress()
+        settings = stress.topics.get("long tops", stress.typical) if full else stress.typical
+        if stress.at_step is not None and speed > 100.0:
+            settings = (*settings, stress.at_step(0.1 / speed))
+        duration = short_duration if stress.is_slow and speed > 1e3 else 1.0
+        turns = speed * duration / (2.0 * np.pi)
+        for options in settings:
             yield Case(
-                name,
-                setting,
+                f"free symmetric top, {speed:g} rad/s, {turns:.3g} turns",
+                Setting(engine.name, options),
                 ANGLE_BOUND,
                 partial(simulate_and_measure, top(speed, duration), orientation),
                 time_limit=40.0,
             )
     # Free tops with fixed steps: the kinetic energy should stay constant
-    for setting in FIXED_STEP_SETTINGS:
+    for setting in settings_of("fixed steps"):
         name = f"free symmetric top, {FIXED_STEP_SPEED:g} rad/s, 1 s, fixed steps"
         yield Case(
             name,
@@ -131,7 +109,7 @@ def cases(full: bool) -> Iterator[Case]:
         )
     # A driven hinge, against the closed form of the torque
     for turns in HINGE_TURNS if full else (0.5, 1.0, 1e3):
-        for setting in TYPICAL_SETTINGS:
+        for setting in settings_of():
             name = f"hinge turned {turns:g} times by PD, 3 s"
             yield Case(
                 name,
@@ -140,7 +118,7 @@ def cases(full: bool) -> Iterator[Case]:
                 partial(simulate_and_measure, driven_hinge(turns), torque_of_hinge),
             )
     # The heavy top, against published values, also with newton_euler's tightest tolerance
-    for setting in (*TYPICAL_SETTINGS, REFERENCE_SETTING):
+    for setting in (*settings_of(), REFERENCE_SETTING):
         measure = partial(simulate_and_measure, load("heavy_top"), reference_error)
         yield Case("heavy_top, 150 rad/s, reference values", setting, REFERENCE_BOUND, measure)
 

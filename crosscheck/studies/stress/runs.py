@@ -1,25 +1,22 @@
 """Helpers of all stress tests: engine settings, error measures of runs, and two exact reference motions.
 
-A stress test measures the errors of engines (newton_euler, MuJoCo, Pinocchio) in demanding runs. A setting is
-an engine with options of its simulation function. A case is one test of one engine at one setting. The
-reference motions, each computed independently of the engines, are those of a parallelogram linkage and of a
-free symmetric top.
+A stress test measures the errors of engines in demanding runs. A setting is an engine with options of its
+simulation function. A case is one test of one engine at one setting. The reference motions, each computed
+independently of the engines, are those of a parallelogram linkage and of a free symmetric top.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from itertools import product
 from typing import Any
 
 import numpy as np
 
-import mjcf
-import urdf
 from crosscheck.compare.runs import positions_apart
 from crosscheck.engines.energy import Balance, energy_balance
-from newton_euler.compiled.formulations import FORMULATIONS
+from crosscheck.engines.registry import ENGINES, SOLVER, choose
+from crosscheck.engines.stress import Options, StressSettings, Topic
 from newton_euler.model.euler_parameters import angle_between, from_rotation_vector
 from newton_euler.model.euler_parameters import product as quaternion_product
 from newton_euler.model.joint_kinds import Free
@@ -28,7 +25,6 @@ from newton_euler.model.scene import OutputName, Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.runs.assemble import initial_state
-from newton_euler.runs.simulate import simulate
 from newton_euler.scalars import Array
 
 STANDARD_GRAVITY = 9.81
@@ -40,8 +36,8 @@ class Setting:
     """An engine, and options of its simulation function.
 
     Attributes:
-        engine: name of the engine, a key of `SIMULATE`. In cases without a simulation, such as invalid
-            inputs, engine and options are only labels.
+        engine: name of the engine. In cases without a simulation, such as invalid inputs, engine and options
+            are only labels.
         options: keyword arguments of the simulation function, such as the integrator and its step.
     """
 
@@ -50,7 +46,8 @@ class Setting:
 
     def simulate(self, scene: Scene) -> Trajectory:
         """Simulate a scene with the engine and the options; errors of the engine are passed on."""
-        return SIMULATE[self.engine](scene, **self.options)
+        (engine,) = choose([self.engine])
+        return engine.stress().simulate(scene, **self.options)
 
     def __str__(self) -> str:
         texts = (
@@ -59,62 +56,30 @@ class Setting:
         return ", ".join(texts) or "defaults"
 
 
-SIMULATE: dict[str, Callable[..., Trajectory]] = {
-    "newton_euler": simulate,
-    "mujoco": mjcf.simulate,
-    "pinocchio": urdf.simulate,
-}
-"""Simulation function of each engine."""
+def settings_of(topic: Topic | None = None) -> tuple[Setting, ...]:
+    """Return the settings of the default engines for a topic; the typical ones without a topic."""
+    return tuple(
+        Setting(engine.name, options)
+        for engine in ENGINES.values()
+        for options in _options_of(engine.stress(), topic)
+    )
 
 
-def newton_euler_setting(
-    formulation: str = "relative", stabilization: str = "projection", **options: Any
-) -> Setting:
-    """Return a setting of newton_euler.
+def _options_of(settings: StressSettings, topic: Topic | None) -> tuple[Options, ...]:
+    """Return the options of an engine for a topic."""
+    return settings.typical if topic is None else settings.topics.get(topic, settings.typical)
 
-    Args:
-        formulation: "relative" (joint coordinates) or "cartesian" (coordinates of all bodies).
-        stabilization: how constraint violations are kept small: "projection", "baumgarte" or "none".
-        **options: other options, such as `integrator`, `rtol`, `atol` and `step`.
+
+def solver_setting(**options: Any) -> Setting:
+    """Return a setting of newton_euler with options such as `formulation` and `integrator`.
+
+    Formulation and stabilization are "relative" (joint coordinates) and "projection" by default.
     """
-    return Setting("newton_euler", {"formulation": formulation, "stabilization": stabilization, **options})
+    return Setting(SOLVER.name, {"formulation": "relative", "stabilization": "projection", **options})
 
 
-def mujoco_setting(integrator: str = "RK4", timestep: float = 1e-3) -> Setting:
-    """Return a setting of MuJoCo with an integrator of MuJoCo and a timestep, s."""
-    return Setting("mujoco", {"integrator": integrator, "timestep": timestep})
-
-
-def pinocchio_setting(**options: Any) -> Setting:
-    """Return a setting of Pinocchio with options such as `integrator`.
-
-    An integrator of newton_euler integrates Pinocchio's equations.
-    """
-    return Setting("pinocchio", options)
-
-
-STABILIZED_SETTINGS = tuple(
-    newton_euler_setting(formulation, stabilization)
-    for formulation, stabilization in product(FORMULATIONS, ("projection", "baumgarte", "none"))
-)
-"""newton_euler's two formulations with each method of stabilization, at the default tolerance."""
-
-REFERENCE_SETTING = newton_euler_setting("relative", rtol=1e-13, atol=1e-15)
+REFERENCE_SETTING = solver_setting(rtol=1e-13, atol=1e-15)
 """newton_euler's most accurate setting; its runs are references for other settings."""
-
-TYPICAL_SETTINGS = (
-    newton_euler_setting("relative"),
-    newton_euler_setting("cartesian"),
-    mujoco_setting(),
-    pinocchio_setting(),
-)
-"""One setting of each engine, two of newton_euler (one for each formulation); used where a case need not try
-all settings. For MuJoCo it is RK4 with 1 ms."""
-
-
-def both_formulations(**options: Any) -> tuple[Setting, ...]:
-    """Return settings of newton_euler in both formulations with projection and the given options."""
-    return tuple(newton_euler_setting(formulation, **options) for formulation in FORMULATIONS)
 
 
 def with_duration(scene: Scene, duration: float, periods: int, *names: OutputName) -> Scene:

@@ -32,9 +32,9 @@ from crosscheck.studies.stress.runs import (
     REFERENCE_SETTING,
     Setting,
     bar_angles,
-    newton_euler_setting,
     parallelogram_angle,
     parallelogram_error,
+    solver_setting,
     symmetric_top,
     top_error,
     with_duration,
@@ -294,12 +294,12 @@ def test_round_off_is_told_from_errors_of_the_method():
     """Next to passages of flat bars all of a tight run's error is round-off, next to none of a pendulum's."""
     error, rounding = noted(REFERENCE_SETTING, "four_bar", 20.0)
     assert 0.05 * error < rounding < 20.0 * error
-    error, rounding = noted(newton_euler_setting(integrator="RK4", step=1e-2), "pendulum", 50.0)
+    error, rounding = noted(solver_setting(integrator="RK4", step=1e-2), "pendulum", 50.0)
     assert 0.0 < rounding < 1e-5 * error
 
 
 def test_an_error_far_from_round_off_is_not_held_against_it():
-    found = integration.measure_energy("pendulum", 20.0, newton_euler_setting(integrator="Euler", step=1e-2))
+    found = integration.measure_energy("pendulum", 20.0, solver_setting(integrator="Euler", step=1e-2))
     assert found.value > 1e-3
     assert "round-off" not in found.note
 
@@ -310,7 +310,7 @@ def test_energy_of_fixed_steps_is_what_the_gyroscopic_torque_adds():
         simulate_and_measure(
             rotation.top(rotation.FIXED_STEP_SPEED, 1.0),
             rotation.kinetic_energy,
-            newton_euler_setting(form, integrator="Euler", step=step),
+            solver_setting(formulation=form, integrator="Euler", step=step),
         ).value
         for form in ("relative", "cartesian")
         for step in (1e-4, 1e-5)
