@@ -28,13 +28,12 @@ from crosscheck.compare.runs import nothing_moves_in_rigid_runs
 from crosscheck.compare.singularity import SingularConfigurations
 from crosscheck.engines.engine import Engine
 from crosscheck.engines.engine_runs import Stop
+from crosscheck.engines.versions import versions
 from crosscheck.library.options import titled
 from crosscheck.loading.load import non_default_options
 from crosscheck.own_run.allowed import OWN_RUN, AllowedError, ErrorKind, without_loops
 from crosscheck.own_run.judge import Judgement
-from crosscheck.support.versions import versions
 from newton_euler.equations.redundancy import mobility
-from newton_euler.errors import DISTRIBUTION
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.import_report import ImportedElement, ImportReport
@@ -260,7 +259,7 @@ class EngineComparison(ABC):
             "outcome": self.outcome.value,
             "verdict": self.verdict,
             "wall_time": self.wall_time,
-            "versions": versions(sorted(used - {DISTRIBUTION})),
+            "versions": versions(sorted(used)),
             "unfinished": [asdict(stop) for stop in self.unfinished],
             "engines": {engine.name: self._run_summary(engine.name) for engine in self.engines},
             "checks": [asdict(check) | {"agrees": check.agrees} for check in self.checks],

@@ -36,7 +36,7 @@ class Importer(StrEnum):
 
     @property
     def package(self) -> str:
-        """Name of the package, in `crosscheck.support.versions`, that the importer belongs to."""
+        """Name of the package, in `crosscheck.engines.versions`, that the importer belongs to."""
         return {Importer.PINOCCHIO: "pin"}.get(self, self.value.lower())
 
 

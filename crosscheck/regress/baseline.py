@@ -29,11 +29,11 @@ from pydantic import (
 )
 
 from crosscheck.engines.registry import names
+from crosscheck.engines.versions import versions
 from crosscheck.library.entries import Number, Quaternion, Vector
 from crosscheck.support.checksum import with_checksum
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.results import read_json
-from crosscheck.support.versions import versions
 from newton_euler.errors import choices
 from newton_euler.model.state import State
 from newton_euler.scalars import Array

@@ -24,10 +24,10 @@ import numpy as np
 from crosscheck.compare.activity import acted, watched_in_new_run, what_acted
 from crosscheck.compare.check import Check
 from crosscheck.compare.outcome import Outcome
+from crosscheck.engines.versions import versions
 from crosscheck.regress.baseline import Baseline, StoredQuantity, UpdateRecord
 from crosscheck.regress.measure import measure_group
 from crosscheck.regress.plan import MAIN_FORMULATION, regress_scene
-from crosscheck.support.versions import versions
 from newton_euler.model.scene import Scene
 from newton_euler.reading.import_report import ImportedElement, ImportReport
 from newton_euler.scalars import Array

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from crosscheck.compare.outcome import Outcome
 from crosscheck.differences.importers import ImporterComparison, ImportersComparison
+from crosscheck.engines.versions import versions
 from crosscheck.loading.importers import Failure, Importer
 from crosscheck.report.diff import long_table, motion_text, sentence, short_table
 from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table, text_columns
-from crosscheck.support.versions import versions
 
 
 def report(comparison: ImportersComparison) -> Report:

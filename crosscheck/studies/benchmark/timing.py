@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from crosscheck.engines.versions import versions
 from crosscheck.support.units import TIME_UNITS, quantity_text
-from crosscheck.support.versions import versions
 from newton_euler.codegen.compile import garbage_collection_off
 
 Progress = Callable[[str], None]

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from crosscheck.engines.registry import SOLVER
+from crosscheck.engines.versions import versions
 from crosscheck.report import render
 from crosscheck.report.table import (
     Cell,
@@ -28,7 +29,6 @@ from crosscheck.report.table import (
 from crosscheck.studies.stress.cases import PROCESSES, CaseResult
 from crosscheck.studies.stress.topics import TOPICS
 from crosscheck.support.files import write_files
-from crosscheck.support.versions import versions
 
 STRESS_FILES = ("stress.json", "stress.md")
 """Names of the files that `write` writes."""
