@@ -32,7 +32,7 @@ class Importers(Shown):
 
     def __getitem__(self, importer: str) -> ImporterComparison:
         """Return what the importer of an engine, "MuJoCo" or "Pinocchio", makes of the file."""
-        return {each.reading.importer.value: each for each in self.comparison.others}[importer]
+        return {each.reading.importer: each for each in self.comparison.others}[importer]
 
     @property
     def same(self) -> bool:

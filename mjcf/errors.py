@@ -10,6 +10,9 @@ from typing import Any
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.trajectory import StoppedError
 
+MODEL_PACKAGE, MODELS_IN_MEMORY = "mujoco", "a mujoco.MjSpec or mujoco.MjModel"
+"""Package of models in memory that can be read as MJCF files are, and their classes in words."""
+
 
 class MjcfError(NewtonEulerError):
     """Base of all errors of MuJoCo models, MJCF files and runs. The message is one line.

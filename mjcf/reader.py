@@ -66,7 +66,7 @@ from newton_euler.scalars import Array
 MAX_LISTED_NAMES = 5
 """Largest number of names of actuators in one line of a report."""
 
-MujocoModel: TypeAlias = mujoco.MjSpec | mujoco.MjModel
+MjcfInMemory: TypeAlias = mujoco.MjSpec | mujoco.MjModel
 """MuJoCo model in memory: an editable specification, or a compiled model."""
 
 
@@ -90,7 +90,7 @@ class Reading:
 
 @checked
 def read(
-    model: Annotated[str | os.PathLike[str] | MujocoModel, UNCHECKED],
+    model: Annotated[str | os.PathLike[str] | MjcfInMemory, UNCHECKED],
     key: str | None = None,
     root: str | None = None,
     **options: Unpack[ReadOptions],

@@ -39,7 +39,7 @@ ROOMS: dict[str, set[str]] = {
 CORE: dict[str, set[str]] = {
     "support": set(),
     "library": {"support"},
-    "loading": {"support", "library"},
+    "loading": {"support", "library", "engines"},
     "engines": {"support", "library"},
     "own_run": {"support", "engines"},
     "logs": {"support", "engines", "own_run"},

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from newton_euler.errors import NewtonEulerError
 
+MODEL_PACKAGE, MODELS_IN_MEMORY = "pinocchio", "a pinocchio.Model, alone or paired with its constraints"
+"""Package of models in memory that can be read as URDF files are, and their classes in words."""
+
 
 class UrdfError(NewtonEulerError):
     """Base of all errors of URDF models and files. The message is one line.

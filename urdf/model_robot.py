@@ -26,7 +26,7 @@ from newton_euler.reading.robot import (
     RobotFile,
 )
 from newton_euler.scalars import Array
-from urdf.reading.given import Given, PinocchioModel
+from urdf.reading.given import Given, UrdfInMemory
 from urdf.reading.source import SourceError, finite_or_infinite
 
 SINGLE_MOTION = re.compile(
@@ -44,7 +44,7 @@ LOOP_KINDS = {"3d": LoopKind.POINT, "6d": LoopKind.WELD}
 """Kind of a loop by its type, see `urdf.loops`."""
 
 
-def describe_model(source: PinocchioModel) -> RobotFile:
+def describe_model(source: UrdfInMemory) -> RobotFile:
     """Describe the robot of a `pinocchio.Model`, alone or in a pair with its constraints.
 
     Raises:
@@ -233,7 +233,7 @@ class _Description:
             speed=finite_or_infinite(model.upperVelocityLimit[in_v]),
         )
 
-    def loops(self, source: PinocchioModel) -> Iterator[FileLoop]:
+    def loops(self, source: UrdfInMemory) -> Iterator[FileLoop]:
         """Yield the loops that the constraints of a model close."""
         given = Given(source, None)
         model = given.closed_model.model

@@ -45,7 +45,7 @@ from urdf.reading.bodies import W_X_Y_Z, Tree
 from urdf.reading.extensions import read_extensions
 from urdf.reading.forces import armatures, joint_springs, point_springs
 from urdf.reading.friction_and_limits import friction_and_limits
-from urdf.reading.given import Given, PinocchioModel
+from urdf.reading.given import Given, UrdfInMemory
 from urdf.reading.leftovers import report_collisions, report_joints
 from urdf.reading.loops import closing_joints, couplings
 from urdf.reading.parser_messages import collected_messages, report_complaints
@@ -117,7 +117,7 @@ class Robot:
 
 @checked
 def read(
-    model: Annotated[str | os.PathLike[str] | PinocchioModel, UNCHECKED],
+    model: Annotated[str | os.PathLike[str] | UrdfInMemory, UNCHECKED],
     loops: str | os.PathLike[str] | None = None,
     base: BaseName = "fixed",
     gravity: Sequence[float] | None = None,

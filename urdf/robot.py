@@ -44,7 +44,7 @@ from urdf.reading.transmissions import REDUCTION_TAGS, read_transmissions
 from urdf.reading.vocabulary import BASES, BaseName, unknown
 
 if TYPE_CHECKING:
-    from urdf.reading.given import PinocchioModel
+    from urdf.reading.given import UrdfInMemory
 
 JOINT_KINDS = {
     "revolute": JointKind.HINGE,
@@ -86,7 +86,7 @@ NUMBER_TAGS = (
 
 
 def describe(
-    source: str | os.PathLike[str] | PinocchioModel,
+    source: str | os.PathLike[str] | UrdfInMemory,
     loops: str | os.PathLike[str] | None = None,
     base: BaseName | None = None,
 ) -> RobotFile:

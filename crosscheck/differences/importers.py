@@ -10,13 +10,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 from crosscheck.compare.outcome import Outcome
 from crosscheck.differences.difference import Difference, Quantity, Standing
 from crosscheck.differences.motion import Likeness
 from crosscheck.differences.result import FileComparison, compare_files
-from crosscheck.loading.importers import Failure, Importer, Reading, read_by_all
+from crosscheck.engines.engine import ImporterLimit
+from crosscheck.loading.importers import Failure, Reading, importers, read_by_all
 from newton_euler.reading.robot import LoopKind, Robot
 
 ROUND_OFF = 1e-6
@@ -29,34 +30,6 @@ DRIVES = "drive"
 
 GROUND = "ground"
 """Kind of the bodies that are fixed to the ground."""
-
-
-class Limit(NamedTuple):
-    """Documented gap of an importer: the elements of files of a format that it does not read.
-
-    Attributes:
-        kinds: kinds of elements, see `Difference.element_kind`, `GROUND`, and quantities of joints.
-        words: the limit in words.
-    """
-
-    kinds: frozenset[str]
-    words: str
-
-
-LIMITS = {
-    (Importer.MUJOCO, "URDF"): Limit(
-        frozenset({Quantity.SPEED, GROUND}),
-        "an MjModel has no limits of speed, and links fixed to the ground become the world, without mass",
-    ),
-    (Importer.PINOCCHIO, "URDF"): Limit(
-        frozenset({"coupling"}), "buildModelFromUrdf reads mimic joints as free ones unless mimic=True"
-    ),
-    (Importer.PINOCCHIO, "MJCF"): Limit(
-        frozenset({DRIVES, "coupling", "loop", "spring", Quantity.STIFFNESS, Quantity.SETTING}),
-        "a pinocchio.Model has no actuators and springs, and of equalities its reader knows connect only",
-    ),
-}
-"""Documented limits of importers, by format of the file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +46,7 @@ class ImporterComparison:
 
     reading: Reading
     comparison: FileComparison | None
-    limit: Limit | None
+    limit: ImporterLimit | None
     drives_left_out: int
 
     @property
@@ -112,7 +85,7 @@ class ImporterComparison:
     def summary(self) -> dict[str, Any]:
         """All numbers, for JSON."""
         return {
-            "importer": self.reading.importer.value,
+            "importer": self.reading.importer,
             "result": self.result.value,
             "message": self.reading.message,
             "drives_left_out": self.drives_left_out,
@@ -169,7 +142,7 @@ class ImportersComparison:
         return {
             "source": self.source,
             "outcome": self.outcome.value,
-            "reference": self.reference.importer.value if self.reference else None,
+            "reference": self.reference.importer if self.reference else None,
             "importers": [each.summary() for each in self.others],
         }
 
@@ -190,11 +163,17 @@ def compare_importers(source: str | os.PathLike[str], progress: Callable[[str], 
     reference = next((reading for reading in readings if reading.file), None)
     others = [reading for reading in readings if reading is not reference]
     format = "URDF" if os.fspath(source).lower().endswith(".urdf") else "MJCF"
-    compared = tuple(_compared(reference, other, LIMITS.get((other.importer, format))) for other in others)
+    compared = tuple(_compared(reference, other, _limit(other.importer, format)) for other in others)
     return ImportersComparison(os.fspath(source), reference, compared)
 
 
-def _compared(reference: Reading | None, other: Reading, limit: Limit | None) -> ImporterComparison:
+def _limit(importer: str, format: str) -> ImporterLimit | None:
+    """Return the documented limit of an importer for files of a format; None without one."""
+    engine = importers().get(importer)
+    return engine.importer.limits.get(format) if engine and engine.importer else None
+
+
+def _compared(reference: Reading | None, other: Reading, limit: ImporterLimit | None) -> ImporterComparison:
     """Compare an importer's reading with the reference reading."""
     if reference is None or reference.file is None or other.file is None:
         return ImporterComparison(other, None, None, 0)

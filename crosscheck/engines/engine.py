@@ -10,7 +10,7 @@ run measures the integration error.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -21,6 +21,7 @@ from newton_euler.equations.system import Evaluation, System
 from newton_euler.errors import DISTRIBUTION
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.reading.robot import RobotFile
 from newton_euler.scalars import Array
 
 MAX_RELATIVE_ERROR = 1e-2
@@ -43,6 +44,30 @@ class FixedSteps(NamedTuple):
     integrator: str
     simulate: Callable[[Scene, float], Trajectory]
     steps: int
+
+
+class ImporterLimit(NamedTuple):
+    """Documented gap of an importer: the elements of files of a format that it does not read.
+
+    Attributes:
+        kinds: kinds of elements, and names of quantities, see `crosscheck.differences.importers`.
+        words: the limit in words.
+    """
+
+    kinds: frozenset[str]
+    words: str
+
+
+class Importer(NamedTuple):
+    """An engine's own reader of MJCF and URDF files.
+
+    Attributes:
+        describe: describes the robot that the engine reads in a file.
+        limits: documented limits by format, "MJCF" or "URDF".
+    """
+
+    describe: Callable[[str], RobotFile]
+    limits: Mapping[str, ImporterLimit]
 
 
 class SoftConstraints(NamedTuple):
@@ -86,6 +111,7 @@ class Engine:
         with_moved_anchor: returns the equations of a scene of which one loop-closing joint, by name, has its
             point in the second body moved by a vector (3,), m, as a planted fault; None if the engine takes
             both points from the scene.
+        importer: the engine's own reader of model files; None if it reads neither MJCF nor URDF.
         stress_settings: imports the settings of stress tests; the default runs alone if None.
         benchmarks: imports the benchmarks of the engine.
     """
@@ -109,6 +135,7 @@ class Engine:
     fixed_steps: FixedSteps | None = None
     at_tolerance: Callable[[Scene, float], Trajectory] | None = None
     with_moved_anchor: Callable[[Scene, str, Array], System] | None = None
+    importer: Importer | None = None
     stress_settings: Callable[[], StressSettings] | None = None
     benchmarks: Callable[[], Benchmarks] = Benchmarks
 

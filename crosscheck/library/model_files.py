@@ -21,8 +21,8 @@ from newton_euler.model.source_file import MAX_MODEL_NUMBER
 from newton_euler.reading.import_report import ALWAYS_ACTING, FATES, ImportedElement, ImportReport
 
 if TYPE_CHECKING:
-    from mjcf.reader import MujocoModel
-    from urdf.reading.given import PinocchioModel
+    from mjcf.reader import MjcfInMemory
+    from urdf.reading.given import UrdfInMemory
 
 SUFFIXES = (".xml", ".mjcf", ".urdf")
 """Suffixes of model files."""
@@ -105,10 +105,10 @@ MJCF_OPTIONS = COMMON | {
 }
 """Options of MJCF files."""
 
-MUJOCO_OPTIONS = {name: option for name, option in MJCF_OPTIONS.items() if name != "root"}
+MJCF_IN_MEMORY_OPTIONS = {name: option for name, option in MJCF_OPTIONS.items() if name != "root"}
 """Options of a MuJoCo model in memory, which refers to no files."""
 
-PINOCCHIO_OPTIONS = COMMON | {
+URDF_IN_MEMORY_OPTIONS = COMMON | {
     "gravity": Option("X,Y,Z in m/s^2, or 0", "the model's own", *_GRAVITY),
     "q": Option("NUMBERS, Pinocchio's configuration to start from", "neutral", _numbers, "finite numbers"),
     "own_run": _OWN_RUN,
@@ -139,7 +139,7 @@ def is_urdf_file(name: str) -> bool:
 
 
 def read_model(
-    model: str | MujocoModel | PinocchioModel, options: Mapping[str, str | float], verified: bool = True
+    model: str | MjcfInMemory | UrdfInMemory, options: Mapping[str, str | float], verified: bool = True
 ) -> tuple[Scene, ImportReport]:
     """Read a model file, or a model that MuJoCo or Pinocchio has in memory.
 
@@ -167,7 +167,7 @@ def read_model(
             given[name] = known[name].read(text)
         except ValueError as error:
             raise CrosscheckError(f"{name} is {text!r}; needed: {known[name].needed}") from error
-    if known in (URDF_OPTIONS, PINOCCHIO_OPTIONS):
+    if known in (URDF_OPTIONS, URDF_IN_MEMORY_OPTIONS):
         from urdf import read as read_urdf
 
         found = read_urdf(model, **given, verified=verified)
@@ -187,11 +187,17 @@ def name_and_options(model: object) -> tuple[str, dict[str, Option]]:
     if isinstance(model, str):
         return model, URDF_OPTIONS if is_urdf_file(model) else MJCF_OPTIONS
     model_class = type(model[0] if isinstance(model, tuple) and model else model)
-    options_of_package = {"mujoco": MUJOCO_OPTIONS, "pinocchio": PINOCCHIO_OPTIONS}
+    import mjcf.errors
+    import urdf.errors
+
+    options_of_package = {
+        mjcf.errors.MODEL_PACKAGE: MJCF_IN_MEMORY_OPTIONS,
+        urdf.errors.MODEL_PACKAGE: URDF_IN_MEMORY_OPTIONS,
+    }
     package = model_class.__module__.partition(".")[0]
     if package not in options_of_package:
-        needed = "a name, a path, a Scene, a mujoco.MjSpec or mujoco.MjModel, or a pinocchio.Model, alone or"
-        raise CrosscheckError(f"{quoted(model)} cannot be read; needed: {needed} paired with its constraints")
+        needed = f"a name, a path, a Scene, {mjcf.errors.MODELS_IN_MEMORY}, or {urdf.errors.MODELS_IN_MEMORY}"
+        raise CrosscheckError(f"{quoted(model)} cannot be read; needed: {needed}")
     return model_class.__name__, options_of_package[package]
 
 

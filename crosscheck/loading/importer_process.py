@@ -15,35 +15,29 @@ from dataclasses import replace
 from pathlib import Path
 
 from crosscheck.library.model_files import SUFFIXES
-from crosscheck.loading.importers import MAX_PROCESSOR_S, Failure, Importer, Reading
+from crosscheck.loading.importers import MAX_PROCESSOR_S, OWN, Failure, Reading, importers
 from newton_euler.limits import size_in_bytes
 from newton_euler.model.source_file import SourceError
 from newton_euler.reading.robot import RobotFile
 
 
-def _describe(importer: Importer) -> Callable[[str], RobotFile]:
-    """Import the function that describes the robot of a file as an importer reads it."""
-    match importer:
-        case Importer.OWN:
-            from crosscheck.library.model_files import is_urdf_file
-            from crosscheck.loading.robots import describe_model
+def _describe(importer: str) -> Callable[[str], RobotFile]:
+    """Return the function that describes the robot of a file as an importer reads it."""
+    if importer == OWN:
+        from crosscheck.library.model_files import is_urdf_file
+        from crosscheck.loading.robots import describe_model
 
-            # as the other importers, this one follows references to any folder
-            any_folder = {"root": os.path.abspath(os.sep)}
-            return lambda path: describe_model(path, {} if is_urdf_file(path) else any_folder)
-        case Importer.MUJOCO:
-            from mjcf.importer import describe_as_imported as describe_by_mujoco
-
-            return describe_by_mujoco
-        case Importer.PINOCCHIO:
-            from urdf.importer import describe_as_imported as describe_by_pinocchio
-
-            return describe_by_pinocchio
+        # as the other importers, this one follows references to any folder
+        any_folder = {"root": os.path.abspath(os.sep)}
+        return lambda path: describe_model(path, {} if is_urdf_file(path) else any_folder)
+    found = importers()[importer].importer
+    assert found is not None
+    return found.describe
 
 
 def main() -> None:
     """Read a file by one importer in this process, and write its `Reading` to another file."""
-    importer, path, result = Importer(sys.argv[1]), sys.argv[2], sys.argv[3]
+    importer, path, result = sys.argv[1], sys.argv[2], sys.argv[3]
     with suppress(ImportError):  # Windows has no limits of resources
         import resource
 

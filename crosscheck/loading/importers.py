@@ -12,6 +12,8 @@ from enum import StrEnum
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from crosscheck.engines.engine import Engine
+from crosscheck.engines.registry import ENGINES
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.source_file import SourceError, path_text, read_text
 from newton_euler.reading.robot import RobotFile
@@ -26,18 +28,13 @@ MAX_WAIT_S = 300
 """Largest waiting time for an importer, s; the machine may be busy."""
 
 
-class Importer(StrEnum):
-    """Importer of MJCF and URDF files."""
+OWN = "crosscheck"
+"""Name of crosscheck's importer, with which the others are compared."""
 
-    OWN = "crosscheck"
-    """The one of crosscheck, with which the others are compared."""
-    MUJOCO = "MuJoCo"
-    PINOCCHIO = "Pinocchio"
 
-    @property
-    def package(self) -> str:
-        """Name of the package, in `crosscheck.engines.versions`, that the importer belongs to."""
-        return {Importer.PINOCCHIO: "pin"}.get(self, self.value.lower())
+def importers() -> dict[str, Engine]:
+    """Return the engines that have an importer, by its name in texts."""
+    return {engine.label: engine for engine in ENGINES.values() if engine.importer is not None}
 
 
 class Failure(StrEnum):
@@ -59,13 +56,13 @@ class Reading:
     """Robot that an importer reads in a file, or its failure.
 
     Attributes:
-        importer: the importer.
+        importer: `OWN`, or a key of `importers`.
         file: the robot that it reads, without variants; None after a failure.
         failure: its failure; None without one.
         message: the importer's own message, or how its process ended; "" without a failure.
     """
 
-    importer: Importer
+    importer: str
     file: RobotFile | None
     failure: Failure | None = None
     message: str = ""
@@ -84,7 +81,7 @@ def read_by_all(source: str | os.PathLike[str]) -> list[Reading]:
         raise CrosscheckError(f"{path}: no model file; needed: a name that ends in {', '.join(SUFFIXES)}")
     read_text(path, limit="file_size", error=SourceError)
     with TemporaryDirectory() as folder:
-        processes = [(importer, _start(importer, path, Path(folder))) for importer in Importer]
+        processes = [(importer, _start(importer, path, Path(folder))) for importer in (OWN, *importers())]
         try:
             return [_reading(importer, process, Path(folder)) for importer, process in processes]
         finally:
@@ -93,7 +90,7 @@ def read_by_all(source: str | os.PathLike[str]) -> list[Reading]:
                 process.wait()
 
 
-def _start(importer: Importer, path: str, folder: Path) -> subprocess.Popen[bytes]:
+def _start(importer: str, path: str, folder: Path) -> subprocess.Popen[bytes]:
     """Start the process of an importer; its reading and its standard error become files in a folder."""
     # -P and the search path of this process without "", the current folder, whose modules may be a stranger's
     command = [sys.executable, "-P", "-m", PROCESS, importer, path, str(folder / importer)]
@@ -103,7 +100,7 @@ def _start(importer: Importer, path: str, folder: Path) -> subprocess.Popen[byte
         return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=environment)
 
 
-def _reading(importer: Importer, process: subprocess.Popen[bytes], folder: Path) -> Reading:
+def _reading(importer: str, process: subprocess.Popen[bytes], folder: Path) -> Reading:
     """Wait for the process of an importer, and return its reading."""
     try:
         status = process.wait(MAX_WAIT_S)

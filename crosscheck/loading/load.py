@@ -23,10 +23,10 @@ from newton_euler.reading.import_report import ImportReport
 from newton_euler.scalars import Floats
 
 if TYPE_CHECKING:
-    from mjcf.reader import MujocoModel
-    from urdf.reading.given import PinocchioModel
+    from mjcf.reader import MjcfInMemory
+    from urdf.reading.given import UrdfInMemory
 
-    Model: TypeAlias = str | os.PathLike[str] | Scene | MujocoModel | PinocchioModel
+    Model: TypeAlias = str | os.PathLike[str] | Scene | MjcfInMemory | UrdfInMemory
 
 DEFAULT_OPTIONS = {"excitation": "on"}
 """Options by which the excitation of MJCF, URDF and in-memory models is on by default.

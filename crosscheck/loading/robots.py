@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from crosscheck.library.model_files import PINOCCHIO_OPTIONS, URDF_OPTIONS, name_and_options
+from crosscheck.library.model_files import URDF_IN_MEMORY_OPTIONS, URDF_OPTIONS, name_and_options
 from crosscheck.loading.load import is_scene, load_scene
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.reading.file_shapes import FileShapes
@@ -29,7 +29,7 @@ def describe_shapes(model: Model, options: Mapping[str, str]) -> FileShapes:
     """
     source: Any = os.fspath(model) if isinstance(model, os.PathLike) else model
     name, known = ("a scene", {}) if is_scene(model) else name_and_options(source)
-    if is_scene(model) or known is PINOCCHIO_OPTIONS:
+    if is_scene(model) or known is URDF_IN_MEMORY_OPTIONS:
         needed = "an MJCF or URDF file, or a model of MuJoCo"
         raise CrosscheckError(f"shapes of {name} cannot be compared; needed: {needed}")
     if known is URDF_OPTIONS:
@@ -68,7 +68,7 @@ def describe_model(model: Model, options: Mapping[str, str]) -> RobotFile:
         if option not in usable:
             has = f"; it has {' and '.join(usable)}" if usable else ""
             raise CrosscheckError(f"{name} has no option {option!r} in a comparison of files{has}")
-    if is_urdf or known is PINOCCHIO_OPTIONS:
+    if is_urdf or known is URDF_IN_MEMORY_OPTIONS:
         from urdf.robot import describe as describe_urdf
 
         texts: dict[str, Any] = dict(options)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from importlib.metadata import PackageNotFoundError
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from crosscheck.compare.outcome import Outcome
 from crosscheck.differences.importers import ImporterComparison, ImportersComparison
-from crosscheck.engines.versions import versions
-from crosscheck.loading.importers import Failure, Importer
+from crosscheck.loading.importers import OWN, Failure, importers
 from crosscheck.report.diff import long_table, motion_text, sentence, short_table
 from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table, text_columns
+from newton_euler.errors import DISTRIBUTION
 
 
 def report(comparison: ImportersComparison) -> Report:
@@ -31,7 +31,7 @@ def report(comparison: ImportersComparison) -> Report:
         if each.differences:
             short.append(short_table(_name(importer), each.differences, sides))
         if each.comparison and each.comparison.rows and reference:
-            names = reference.importer.value, importer.value
+            names = reference.importer, importer
             parts.append(long_table(f"differences of {importer}", each.comparison, names))
     short.append(Lines("", list(_notes(comparison))))
     outcome = comparison.outcome
@@ -56,12 +56,13 @@ def _verdict(comparison: ImportersComparison) -> str:
     return ", ".join(results) + against
 
 
-def _name(importer: Importer) -> str:
+def _name(importer: str) -> str:
     """Name an importer with the version of its package, if that is installed."""
     try:
-        return f"{importer} {versions([importer.package])[importer.package]}"
+        package = importers()[importer].package if importer != OWN else DISTRIBUTION
+        return f"{importer} {version(package)}"
     except PackageNotFoundError:
-        return importer.value
+        return importer
 
 
 def _cells(comparison: ImportersComparison, each: ImporterComparison) -> list[str | Cell]:

@@ -21,7 +21,7 @@ from urdf.loops import NO_LOOPS, closure_names
 from urdf.model import PINOCCHIO_GROUND, ClosedLoopModel
 from urdf.reading.source import JointProperties, SourceError, joint_limits
 
-PinocchioModel: TypeAlias = pin.Model | tuple[pin.Model, Sequence[pin.RigidConstraintModel]]
+UrdfInMemory: TypeAlias = pin.Model | tuple[pin.Model, Sequence[pin.RigidConstraintModel]]
 """Model in memory, alone or with its constraints."""
 
 KNOWN_JOINT_MODELS = (

@@ -14,13 +14,22 @@ import numpy as np
 from crosscheck.engines.adaptive import expected_run
 from crosscheck.engines.benchmarks import Benchmarks
 from crosscheck.engines.energy import energy_balance, min_energy_scale
-from crosscheck.engines.engine import MAX_RELATIVE_ERROR, Engine, FixedSteps, SoftConstraints, without_forces
+from crosscheck.engines.engine import (
+    MAX_RELATIVE_ERROR,
+    Engine,
+    FixedSteps,
+    Importer,
+    ImporterLimit,
+    SoftConstraints,
+    without_forces,
+)
 from crosscheck.engines.stress import StressSettings
 from crosscheck.support.colors import VERMILION
 from newton_euler.equations.system import Evaluation, System
 from newton_euler.integrators.fixed_step import RK4_LIMIT
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory, distance
+from newton_euler.reading.robot import RobotFile
 from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 
@@ -39,6 +48,14 @@ for example because of stiff dampers, `IMPLICIT` is used instead."""
 SOLVER_TOLERANCE = 1e-8
 """Relative improvement below which MuJoCo's iteration for the forces of its soft (spring-like) constraints
 ends; MuJoCo's default."""
+
+LIMITS = {
+    "URDF": ImporterLimit(
+        frozenset({"speed", "ground"}),
+        "an MjModel has no limits of speed, and links fixed to the ground become the world, without mass",
+    )
+}
+"""Documented limits of MuJoCo's importer, by format."""
 
 IMPLICIT: Final = "implicitfast"
 """Name of MuJoCo's implicit integrator, a method of order 1."""
@@ -187,6 +204,13 @@ def _stress_settings() -> StressSettings:
     return STRESS
 
 
+def _as_imported(path: str) -> RobotFile:
+    """Describe the robot that MuJoCo reads in a file."""
+    from mjcf.importer import describe_as_imported
+
+    return describe_as_imported(path)
+
+
 def _benchmarks() -> Benchmarks:
     """Import the benchmarks."""
     from crosscheck.engines.mujoco.benchmark import BENCHMARKS
@@ -214,5 +238,6 @@ ENGINE = Engine(
     fixed_steps=FixedSteps("RK4", _rk4, steps=40),
     with_moved_anchor=_with_moved_anchor,
     benchmarks=_benchmarks,
+    importer=Importer(_as_imported, LIMITS),
     stress_settings=_stress_settings,
 )

@@ -9,12 +9,24 @@ from typing import Any
 
 from crosscheck.engines.adaptive import python_options
 from crosscheck.engines.benchmarks import Benchmarks
-from crosscheck.engines.engine import Engine, FixedSteps, without_forces
+from crosscheck.engines.engine import Engine, FixedSteps, Importer, ImporterLimit, without_forces
 from crosscheck.engines.stress import StressSettings
 from crosscheck.support.colors import GREEN
 from newton_euler.equations.system import System
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import StoppedError, Trajectory
+from newton_euler.reading.robot import RobotFile
+
+LIMITS = {
+    "URDF": ImporterLimit(
+        frozenset({"coupling"}), "buildModelFromUrdf reads mimic joints as free ones unless mimic=True"
+    ),
+    "MJCF": ImporterLimit(
+        frozenset({"drive", "coupling", "loop", "spring", "stiffness", "setting"}),
+        "a pinocchio.Model has no actuators and springs, and of equalities its reader knows connect only",
+    ),
+}
+"""Documented limits of Pinocchio's importers, by format."""
 
 LOOSER_TOLERANCE_FACTOR = 5.0
 """Factor on the tolerances of a refined run in Python that is repeated because it stopped. Accelerations of
@@ -64,6 +76,13 @@ def _stress_settings() -> StressSettings:
     return STRESS
 
 
+def _as_imported(path: str) -> RobotFile:
+    """Describe the robot that Pinocchio reads in a file."""
+    from urdf.importer import describe_as_imported
+
+    return describe_as_imported(path)
+
+
 def _benchmarks() -> Benchmarks:
     """Import the benchmarks."""
     from crosscheck.engines.pinocchio.benchmark import BENCHMARKS
@@ -95,5 +114,6 @@ ENGINE = Engine(
     fixed_steps=FixedSteps("RK4", _rk4, steps=10),  # Python calls Pinocchio four times per step
     at_tolerance=_at_tolerance,
     benchmarks=_benchmarks,
+    importer=Importer(_as_imported, LIMITS),
     stress_settings=_stress_settings,
 )
