@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -210,3 +211,46 @@ def test_docstrings_open_with_a_verb_or_a_noun_phrase():
                     if words and words[0] in {"What", "Which", "How", "Where", "When", "Whether"}:
                         found.append(f"{name}: {getattr(node, 'name', 'module')}")
     assert found == []
+
+
+ENGINE_NAMES = re.compile(r"mujoco|pinocchio|drake|exudyn", re.IGNORECASE)
+"""Names of engines, in names and texts of code."""
+
+
+def named_engines(source: str) -> list[tuple[int, str]]:
+    """Names of engines in code, with their lines: in identifiers and texts, not in docstrings."""
+    tree = ast.parse(source)
+    docstrings = {id(each.value) for each in ast.walk(tree) if isinstance(each, ast.Expr)}
+    found = []
+    for node in ast.walk(tree):
+        match node:
+            case ast.Constant(value=str(text)) if id(node) not in docstrings:
+                is_solver = text == "newton_euler"
+            case ast.Name(id=text) | ast.Attribute(attr=text) | ast.arg(arg=text) | ast.alias(name=text):
+                is_solver = False
+            case ast.FunctionDef(name=text) | ast.ClassDef(name=text) | ast.ImportFrom(module=str(text)):
+                is_solver = False
+            case _:
+                continue
+        if is_solver or ENGINE_NAMES.search(text):
+            found.append((getattr(node, "lineno", 0), text))
+    return found
+
+
+def test_only_engines_name_engines():
+    """Everything else takes them from the registry; the help of `--engines` has the default ones."""
+    found = {
+        f"{name}:{line}: {text}"
+        for name, source in modules("crosscheck").items()
+        if not name.startswith("crosscheck.engines")
+        for line, text in named_engines(source.read_text())
+    }
+    assert {text.split(": ")[1] for text in found} == {"newton_euler,mujoco,pinocchio"}, found
+
+
+def test_names_of_engines_are_found_in_code_and_not_in_docstrings():
+    source = (
+        '"""MuJoCo."""\nfrom mujoco import x\ndef of_drake(a="exudyn"): return a.pinocchio, "newton_euler"'
+    )
+    found = {text for _, text in named_engines(source)}
+    assert found == {"mujoco", "of_drake", "exudyn", "newton_euler", "pinocchio"}

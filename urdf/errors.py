@@ -8,6 +8,10 @@ MODEL_PACKAGE, MODELS_IN_MEMORY = "pinocchio", "a pinocchio.Model, alone or pair
 """Package of models in memory that can be read as URDF files are, and their classes in words."""
 
 
+IN_MEMORY = "Pinocchio"
+"""Name of the format of models in memory."""
+
+
 class UrdfError(NewtonEulerError):
     """Base of all errors of URDF models and files. The message is one line.
 

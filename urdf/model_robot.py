@@ -26,6 +26,7 @@ from newton_euler.reading.robot import (
     RobotFile,
 )
 from newton_euler.scalars import Array
+from urdf.errors import IN_MEMORY
 from urdf.reading.given import Given, UrdfInMemory
 from urdf.reading.source import SourceError, finite_or_infinite
 
@@ -62,7 +63,7 @@ def describe_model(source: UrdfInMemory) -> RobotFile:
             loops=tuple(description.loops(source)) if len(constraints) else (),
             gravity=np.array(model.gravity.linear),
         ),
-        format="Pinocchio",
+        format=IN_MEMORY,
         notes=tuple(description.notes),
     )
 

@@ -121,8 +121,9 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     # The matrices are too small for threads of BLAS: on a busy machine, an SVD of 60 rows takes 40 times as
     # long with two threads, and they sum in another order. OpenBLAS reads this when NumPy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # MuJoCo draws nothing here; it would load GLFW, whose process prints a message if interrupted
-    os.environ["MUJOCO_GL"] = "disable"
+    from crosscheck.engines.environment import ENVIRONMENT
+
+    os.environ.update(ENVIRONMENT)
     # streams: a file name may have bytes that are no text; errors in destructors would print a second message
     open_streams = _open_streams()
     if isinstance(sys.stdout, io.TextIOWrapper):

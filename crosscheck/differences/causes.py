@@ -18,6 +18,7 @@ import numpy as np
 from crosscheck.differences.difference import Difference, Quantity, Standing, Value
 from newton_euler.reading.robot import RobotFile
 from newton_euler.scalars import Array
+from urdf.errors import IN_MEMORY
 
 RATIO_TOLERANCE = 1e-4
 """Relative difference of factors that count as one, such as 2.2046 and 2.20462."""
@@ -34,7 +35,7 @@ OTHER_UNITS = {1e6: "m^2 against mm^2", 1e9: "kg m^2 against g mm^2", 180.0 / ma
 LACKING = {
     "URDF": (Quantity.ARMATURE, Quantity.STIFFNESS, Quantity.GRAVITY, Quantity.PRESENCE),
     "MJCF": (Quantity.SPEED,),
-    "Pinocchio": (Quantity.STIFFNESS, Quantity.PRESENCE),
+    IN_MEMORY: (Quantity.STIFFNESS, Quantity.PRESENCE),
 }
 """Quantities that no model of a format has; presence is that of drives."""
 

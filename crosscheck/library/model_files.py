@@ -79,7 +79,7 @@ def _switch(value: str) -> bool:
 # has the time step, integrator and constraint gains of the user's program loop around Pinocchio. crosscheck
 # measures the error of this loop
 _SECONDS = plain_number, "a positive number of seconds"
-_OWN_RUN = Option("FILE with the settings of your simulation loop", "those of Pinocchio's examples")
+_OWN_RUN = Option("FILE with the settings of your simulation loop", "those of the engine's examples")
 _GRAVITY = _vector, f"X,Y,Z in m/s^2, at most {MAX_MODEL_NUMBER:g}, or 0"
 
 COMMON = {
@@ -110,7 +110,7 @@ MJCF_IN_MEMORY_OPTIONS = {name: option for name, option in MJCF_OPTIONS.items() 
 
 URDF_IN_MEMORY_OPTIONS = COMMON | {
     "gravity": Option("X,Y,Z in m/s^2, or 0", "the model's own", *_GRAVITY),
-    "q": Option("NUMBERS, Pinocchio's configuration to start from", "neutral", _numbers, "finite numbers"),
+    "q": Option("NUMBERS, the configuration q to start from", "neutral", _numbers, "finite numbers"),
     "own_run": _OWN_RUN,
 }
 """Options of a Pinocchio model in memory."""

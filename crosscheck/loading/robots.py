@@ -27,10 +27,12 @@ def describe_shapes(model: Model, options: Mapping[str, str]) -> FileShapes:
         CrosscheckError: for a scene and a model of Pinocchio.
         NewtonEulerError: for a file that cannot be read.
     """
+    import mjcf.errors
+
     source: Any = os.fspath(model) if isinstance(model, os.PathLike) else model
     name, known = ("a scene", {}) if is_scene(model) else name_and_options(source)
     if is_scene(model) or known is URDF_IN_MEMORY_OPTIONS:
-        needed = "an MJCF or URDF file, or a model of MuJoCo"
+        needed = f"an MJCF or URDF file, or {mjcf.errors.MODELS_IN_MEMORY}"
         raise CrosscheckError(f"shapes of {name} cannot be compared; needed: {needed}")
     if known is URDF_OPTIONS:
         from urdf.file_shapes import file_shapes as of_urdf

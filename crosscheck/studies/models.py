@@ -34,6 +34,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from crosscheck.compare.activity import what_acted
 from crosscheck.compare.outcome import ExitStatus, Outcome
+from crosscheck.engines.registry import ENGINES
 from crosscheck.library.model_files import is_urdf_file
 from crosscheck.report.render import markdown_table
 from crosscheck.report.table import Rows, Table, text_columns
@@ -49,11 +50,10 @@ MAX_CPU_TIME = 600
 MAX_WALL_TIME = 3600.0
 """Largest wall time of one model, s."""
 
-OWN_RUN_ENGINES = "newton_euler,mujoco"
-"""Engines of runs for the table of own runs, which needs the reference solution only: Pinocchio is slow with
-loops."""
+OWN_RUN_ENGINES = ",".join(name for name, engine in ENGINES.items() if not engine.stress().is_slow)
+"""Engines of runs for the table of own runs, which needs the reference solution only."""
 
-REPEATING_SCRIPT = Path("own_runs", "plain_mujoco.py")
+REPEATING_SCRIPT = Path("own_runs", "engine_alone.py")
 """Script that repeats files' own runs with MuJoCo alone; the path is relative to the folder of the list."""
 
 TABLE_BEGIN, TABLE_END = "<!-- models: begin -->", "<!-- models: end -->"

@@ -81,7 +81,7 @@ def own_run_result(path: Path, summary: Path, script: Path) -> OwnRunResult | No
     Args:
         path: the model file.
         summary: file summary.json of `crosscheck run`.
-        script: script that repeats the run and its remedies with MuJoCo alone, `plain_mujoco.py`.
+        script: script that repeats the run and its remedies with MuJoCo alone, `engine_alone.py`.
 
     Returns:
         The row; None if the run was not judged.
@@ -190,7 +190,7 @@ def own_run_table(rows: Sequence[tuple[str, str, OwnRunResult | str]]) -> Iterat
     counts = Counter(each.word for each in judged)
     listed = ", ".join(f"{counts[word]} {word}" for word in WORDS if counts[word])
     repeats = sum(each.repeats for each in judged)
-    yield f"Judged models: {len(judged)} ({listed}). MuJoCo alone repeats the errors of {repeats} of these."
+    yield f"Judged models: {len(judged)} ({listed}). The engine alone repeats errors of {repeats} of these."
     yield ""
     cells: Rows = []
     for heading, model, each in rows:
@@ -209,7 +209,7 @@ def own_run_table(rows: Sequence[tuple[str, str, OwnRunResult | str]]) -> Iterat
         "judged without",
         "cause",
         "remedy",
-        "MuJoCo alone",
+        "engine alone",
     )
     yield from markdown_table(Table("", heads, cells))
     others = [(f"{heading}: {model}", each) for heading, model, each in rows if isinstance(each, str)]

@@ -13,7 +13,7 @@ from crosscheck.loading.load import load_scene
 from crosscheck.own_run.judge import judge
 from crosscheck.studies.own_run_table import own_run_result
 
-SCRIPT = Path(__file__).parents[3] / "docs" / "results" / "own_runs" / "plain_mujoco.py"
+SCRIPT = Path(__file__).parents[3] / "docs" / "results" / "own_runs" / "engine_alone.py"
 
 BOX = """<mujoco><option timestep="0.002"><flag contact="disable"/></option><worldbody>
   <body name="hand" mocap="true" pos="0 0 1"/>

@@ -9,7 +9,7 @@ from crosscheck.loading.load import load_scene, with_excitation
 from crosscheck.own_run.judge import Judgement, judge
 from crosscheck.studies.own_run_table import own_run_result, own_run_table
 
-SCRIPT = Path(__file__).parents[3] / "docs" / "results" / "own_runs" / "plain_mujoco.py"
+SCRIPT = Path(__file__).parents[3] / "docs" / "results" / "own_runs" / "engine_alone.py"
 
 ARM_ON_A_LOOP = """<mujoco><option timestep="0.004"/><worldbody>
   <body name="crank"><joint name="a" axis="0 1 0" frictionloss="0.1" range="-5 5"/>

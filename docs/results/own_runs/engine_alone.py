@@ -1,6 +1,6 @@
 """Repeat a file's own run with MuJoCo alone, and measure its error and the error of each remedy.
 
-    python plain_mujoco.py robot.xml output/robot/summary.json
+    python engine_alone.py robot.xml output/robot/summary.json
 
 `crosscheck run robot.xml` writes summary.json. The script takes start, controls and settings from its entry
 `own_run`, and nothing else of crosscheck. The reference is a run in MuJoCo too, with the file's time step
