@@ -16,10 +16,9 @@ import pytest
 from command_line import EXAMPLE, short_example
 from compiler import Compiler
 from hostile_process import Server
-from loaded_code import shared_binding
 
 import mjcf.reading.source
-import newton_euler.codegen.compile
+import newton_euler
 from crosscheck.cli import shared
 from crosscheck.library import load
 from newton_euler.errors import MissingPackageError
@@ -86,14 +85,6 @@ def compiler() -> Iterator[None]:
         patch.setattr(mjcf.reading.source, "subprocess", forks)
         yield
     forks.close()
-
-
-@pytest.fixture(scope="session", autouse=True)
-def loaded_code() -> Iterator[None]:
-    """Machine code that is loaded once in this process, which saves a fifth of the time of short runs."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(newton_euler.codegen.compile, "llvm_binding", shared_binding)
-        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

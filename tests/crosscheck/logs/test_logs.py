@@ -866,11 +866,23 @@ def test_a_coordinate_that_contradicts_the_poses_is_named(four_bar, change, diff
     assert [each["text"] for each in found.summary()["mistakes"]] == ([words + option] if differs else [])
 
 
-def test_coordinates_beside_poses_that_violate_joints_are_not_blamed(four_bar):
+@pytest.fixture(scope="module")
+def turned_coupler(four_bar):
+    """A log with the angle between both bars, and with quaternions of the coupler that contradict it."""
     joints, bodies = four_bar[3:5]
-    # the angle between both bars is wrong as the quaternions are
     turned = {name: np.roll(x, 20) if "coupler/orientation" in name else x for name, x in bodies.items()}
-    table, options = turned | {"elbow": joints["elbow"]}, LogOptions()
+    return turned | {"elbow": joints["elbow"]}
+
+
+@pytest.mark.slow
+def test_no_reading_of_coordinates_beside_poses_that_violate_joints_is_searched(four_bar, turned_coupler):
+    found = judged(four_bar, turned_coupler)
+    assert found.band is Band.WRONG
+    assert not any("elbow" in mistake.columns for mistake in found.mistakes)
+
+
+def test_coordinates_beside_poses_that_violate_joints_are_not_blamed(four_bar, turned_coupler):
+    table, options = turned_coupler, LogOptions()
     log = reading.LogReading(four_bar[1], four_bar[2], read_table(table))
     compared = log.compared(options)
     assert compared.error.band is Band.WRONG
