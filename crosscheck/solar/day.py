@@ -264,8 +264,10 @@ class Day:
     @cached_property
     def off_set_points(self) -> Array:
         """(n,) True where the panel is more than `MAX_DEVIATION` off its set-point, although it had a period
-        to come there: controllers are too soft, a move is too long, or the wind turns the panel over."""
-        return self.error_parts["motion, control and wind load"] > MAX_DEVIATION
+        to come there: controllers are too soft, a move is too long, or the wind turns the panel over. Moves
+        at night may take longer, such as those to the position of the next morning."""
+        is_off = self.error_parts["motion, control and wind load"] > MAX_DEVIATION
+        return is_off & (self.seen.is_up | ~self.plan.is_moving(self.seconds))
 
     @property
     def stowed(self) -> Array:

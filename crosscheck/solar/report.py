@@ -149,7 +149,7 @@ def verdict(day: Day) -> str:
 
 def deviation_text(day: Day) -> str:
     """Report in a clause how far and how long the panel is off its set-points."""
-    deviations = day.error_parts["motion, control and wind load"]
+    deviations = np.where(day.off_set_points, day.error_parts["motion, control and wind load"], 0.0)
     k = int(np.argmax(deviations))
     return (
         f"for {day.hours(day.off_set_points):.1f} h it is more than {np.degrees(MAX_DEVIATION):g} deg off "

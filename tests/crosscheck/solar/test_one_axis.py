@@ -75,6 +75,14 @@ def test_rows_turn_as_those_of_pvlib(scene, tracking, options):
     assert np.abs(day.error_parts["one axis only"] - left)[day.faces].max() < 1e-6
 
 
+def test_moves_at_night_may_last_longer_than_a_period(scene):
+    """At 0.5 mrad/s the row follows the sun; the 120 degrees to the next morning take 70 minutes."""
+    tracking = Tracking(most_tilt=60.0, speed=5e-4)
+    day = tracker_day(scene, Axis("table", [0.0, 0.0, 1.0]), SEVILLE, DATE, None, tracking, 1800.0)
+    assert np.degrees(day.error_parts["motion, control and wind load"]).max() > 20.0
+    assert not day.off_set_points.any()
+
+
 def test_tilted_axes_turn_as_those_of_pvlib(tmp_path):
     """An axis that rises to the north by 20 degrees, and a face that looks south at rest."""
     path, tilt = tmp_path / "tilted.xml", np.radians(20.0)
