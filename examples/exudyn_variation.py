@@ -26,10 +26,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from crosscheck.engines.benchmarks import poses_only
+from crosscheck.engines.newton_euler.benchmark import Lanes
 from crosscheck.library import load
-from crosscheck.studies.benchmark.batch_engines import NewtonEulerBatch
 from crosscheck.studies.benchmark.batch_settings import fastest_setting
-from crosscheck.studies.benchmark.ladders import poses_only
 from crosscheck.studies.benchmark.reference import batch_references, pose_errors
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.formulation import Formulation
@@ -258,7 +258,7 @@ def measure(case: Case) -> Iterable[str]:
         worst = max(worst, *pose_errors(poses_found, poses))
     # newton_euler's time at the same error
     known = [states[k] for k in exact]
-    own = NewtonEulerBatch(scene)
+    own = Lanes(scene)
     setting = fastest_setting(own, known, list(exact.values()), ERROR, lambda message: None).options
     own_seconds = min(own.run(setting, known, threads=1).seconds for _ in range(5)) / len(known)
     step = 1e3 * scene.output_period / case.steps
