@@ -61,6 +61,7 @@ with _interrupt_calls(_end):
     from crosscheck.cli import (
         diff,
         drives,
+        engine_check,
         identify,
         importers,
         measure,
@@ -93,6 +94,7 @@ time and saves 8 MB."""
 __all__ = [
     "diff",
     "drives",
+    "engine_check",
     "identify",
     "importers",
     "main",

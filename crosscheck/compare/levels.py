@@ -116,6 +116,8 @@ def _compare_formulations(
                 if other is not engine:
                     pair = (formulation.name, other.name)
                     yield from compare_pair(pair, [formulation], samples[other.name])
+    if not samples[engine.name]:  # an engine without equations is compared by its runs only
+        return
     # The effect of soft constraints at the initial state, a single object per scene. A singular initial state
     # is not among the states
     rigid = samples[engine.name][0]
@@ -172,7 +174,7 @@ def stages(
         engines_with_run = [engine for engine in engines if engine.name in runs]
         # Smallest unit, J, of energy differences. It depends on the states only, which all engines share
         try:
-            energy_unit = samples()[engines[0].name][0].states.energy
+            energy_unit = next((each[0].states.energy for each in samples().values() if each), start.energy)
         except AssemblyError:  # no random states could be found; runs can be compared without them
             energy_unit = start.energy
         differing = {check.between for check in checks if not check.agrees}
@@ -181,7 +183,7 @@ def stages(
             yield from compare_runs_until(until, scene, engines_with_run, runs, energy_unit, differing)
 
     def momentum(_: Sequence[Check]) -> Iterator[Check]:
-        yield from (momentum_check(engine.name, samples()[engine.name][0]) for engine in engines)
+        yield from (momentum_check(name, of_engine[0]) for name, of_engine in samples().items() if of_engine)
 
     return {
         "comparing equations": equations,
@@ -210,7 +212,8 @@ def reading_checks(engines: Sequence[Engine], report: ImportReport | None) -> It
     for engine in engines:
         worst: dict[str, Check] = {}
         for reference, scene in report.references:
-            system = engine.systems(scene)[0]  # equations in the first formulation
-            for quantity, value, tolerance, where in verify(reference, system):
-                _keep_worst(worst, Check(READING, quantity, (engine.name, FILE), value, tolerance, where))
+            for system in engine.systems(scene)[:1]:  # equations in the first formulation, if it has any
+                for quantity, value, tolerance, where in verify(reference, system):
+                    check = Check(READING, quantity, (engine.name, FILE), value, tolerance, where)
+                    _keep_worst(worst, check)
         yield from worst.values()

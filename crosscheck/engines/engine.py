@@ -82,6 +82,11 @@ class SoftConstraints(NamedTuple):
     solver_tolerance: float
 
 
+def no_systems(scene: Scene) -> tuple[System, ...]:
+    """Return no equations: an engine without them is compared by its runs only."""
+    return ()
+
+
 @dataclass(frozen=True)
 class Engine:
     """A simulator, with the functions that comparisons need and its expected errors.
@@ -91,7 +96,7 @@ class Engine:
         simulate: simulates a scene with crosscheck's default settings for the engine.
         refined: simulates a scene with half the step or tighter tolerances.
         systems: returns the engine's equations of motion with rigid constraints, one per formulation (choice
-            of coordinates).
+            of coordinates); an empty tuple if it cannot, so that it is compared by its runs only.
         trajectory_error: expected error of poses, relative to the mechanism's reach (positions) or in rad.
         drift: expected constraint violation, relative to the mechanism's reach (lengths) or in rad.
         energy_error: expected energy balance error, relative to the largest energy.
@@ -119,7 +124,7 @@ class Engine:
     name: str
     simulate: Callable[[Scene], Trajectory]
     refined: Callable[[Scene], Trajectory]
-    systems: Callable[[Scene], tuple[System, ...]]
+    systems: Callable[[Scene], tuple[System, ...]] = no_systems
     trajectory_error: float = 1e-9
     drift: float = 1e-9
     energy_error: float = 1e-8
