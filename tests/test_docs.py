@@ -8,9 +8,10 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -69,13 +70,26 @@ def folder(tmp_path, monkeypatch):
 
 def execute(page: str, folder: Path) -> dict[str, object]:
     """Write the files of a page into a folder and execute its Python blocks; returns their namespace."""
-    for _, title, text in (block for language in ("xml", "yaml") for block in blocks(page, language)):
-        if title:
-            (folder / title).write_text(text)
+    for language in ("xml", "yaml", "python", "toml"):
+        for _, title, text in blocks(page, language):
+            if title:
+                (folder / title).write_text(text)
+            if title == "pyproject.toml":
+                install(tomllib.loads(text)["project"], folder)
     names: dict[str, object] = {}
     for block in blocks(page, "python"):
         exec(compile(block.text, page, "exec"), names)
     return names
+
+
+def install(project: dict[str, Any], folder: Path) -> None:
+    """Make the entry points of a package in a folder known, as its installation does."""
+    info = folder / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Name: {name}\nVersion: {version}\n".format(**project))
+    groups = project["entry-points"].items()
+    lines = [f"[{group}]\n" + "".join(f"{k} = {v}\n" for k, v in points.items()) for group, points in groups]
+    (info / "entry_points.txt").write_text("".join(lines))
 
 
 @pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "CHANGELOG.md"])
@@ -120,12 +134,13 @@ def test_commands_and_their_options_exist(page):
 def test_commands_come_to_the_verdict_that_the_page_shows(page, folder):
     execute(page, folder)
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    environment = os.environ | {"PATH": path, "PYTHONPATH": os.pathsep.join([str(folder), *sys.path])}
     for command, shown in commands(page):
         program, name, *_ = shlex.split(command)
         if program not in ("crosscheck", "sed") or name == "view":
             continue
         done = subprocess.run(
-            command, shell=True, env=os.environ | {"PATH": path}, capture_output=True, text=True, check=False
+            command, shell=True, env=environment, capture_output=True, text=True, check=False
         )
         said, wanted = f"{command}\n{done.stdout}{done.stderr}", set(VERDICT.findall(shown))
         assert wanted <= set(VERDICT.findall(done.stdout)), said

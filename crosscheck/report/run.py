@@ -22,6 +22,7 @@ from crosscheck.compare.outcome import Verdict
 from crosscheck.compare.reference_values import ReferenceCheck
 from crosscheck.compare.result import EngineComparison
 from crosscheck.compare.runs import displacements
+from crosscheck.engines.engine import no_systems
 from crosscheck.engines.stiffness import explicit_steps, fastest_decay
 from crosscheck.library.model_files import fates_line, report_lines
 from crosscheck.own_run.allowed import OWN_RUN
@@ -304,6 +305,8 @@ def notes(result: EngineComparison) -> Iterator[str]:
         yield f"inertia that no mass has, {broken}: {', '.join(impossible)}"
 
     # what was not compared or tested
+    if names := [engine.name for engine in result.engines if engine.systems is no_systems]:
+        yield f"without equations of motion, compared by runs only: {', '.join(names)}"
     yield from not_compared(result.checks)
     untested = result.coverage.untested if result.coverage else ()
     for why, shared in ((SAME_CODE, True), ("by the motion, 10 % more would not show", False)):

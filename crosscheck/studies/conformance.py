@@ -263,9 +263,11 @@ def refinement(engine: Engine) -> str:
 def equations(engine: Engine) -> str:
     """The equations of motion agree with newton_euler's at every level of `crosscheck run`."""
     scene = swing()
+    if not (systems := engine.systems(scene)):
+        raise CrosscheckError(f"{engine.name} has no equations of motion: comparisons are of its runs only")
     states = States(scene, (initial_state(scene),))
     reference = [Samples(Relative(scene), states)]
-    for system in engine.systems(scene):
+    for system in systems:
         for check in compare_pair(("reference", engine.name), reference, [Samples(system, states)]):
             if check.judged and not check.agrees:
                 return f"{check.level}: {check.quantity} differs by {check.value:.2g} at {check.where}"

@@ -55,6 +55,7 @@ WHOLE: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "convert": (("scene.json", "out.yaml"), ()),
     "diff": (("model.xml", "model.xml"), REFUSED_LATER),
     "drives": (("scene.json",), ("--catalog", "catalog.csv", *REFUSED_LATER)),
+    "engine-check": (("newton_euler",), ("--output", "new")),
     "faults": (("scene.json",), REFUSED_LATER),
     "figures": ((), REFUSED_LATER),
     "identify": (("scene.json", "motion.csv"), ("--fit", "crank.mass", "--output", "new")),
