@@ -68,14 +68,19 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def execute(page: str, folder: Path) -> dict[str, object]:
-    """Write the files of a page into a folder and execute its Python blocks; returns their namespace."""
+def write_files(page: str, folder: Path) -> None:
+    """Write the files of a page into a folder."""
     for language in ("xml", "yaml", "python", "toml"):
         for _, title, text in blocks(page, language):
             if title:
                 (folder / title).write_text(text)
             if title == "pyproject.toml":
                 install(tomllib.loads(text)["project"], folder)
+
+
+def execute(page: str, folder: Path) -> dict[str, object]:
+    """Write the files of a page into a folder and execute its Python blocks; returns their namespace."""
+    write_files(page, folder)
     names: dict[str, object] = {}
     for block in blocks(page, "python"):
         exec(compile(block.text, page, "exec"), names)
@@ -117,7 +122,9 @@ def test_python_runs(page, folder):
 
 
 @pytest.mark.parametrize("page", having("console"))
-def test_commands_and_their_options_exist(page):
+def test_commands_and_their_options_exist(page, folder, monkeypatch):
+    monkeypatch.syspath_prepend(folder)
+    write_files(page, folder)
     for command, _ in commands(page):
         program, name, *rest = shlex.split(command)
         if program == "crosscheck":

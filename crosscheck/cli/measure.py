@@ -83,11 +83,11 @@ def bench_command(
     engines: list[str] | None,
     output: Path | None,
 ) -> int:
-    """Benchmark all engines: run time against error (work-precision).
+    """Benchmark engines: run time against error (work-precision).
 
     SCENE is the name of a library scene or a model file (see run).
     """
-    from crosscheck.engines.registry import ENGINES, choose
+    from crosscheck.engines.registry import ENGINES, SOLVER, choose
     from crosscheck.loading.load import with_excitation
     from crosscheck.studies.benchmark.run import BenchmarkRequest, bench
 
@@ -96,6 +96,8 @@ def bench_command(
     if len(kinds) > 1:
         names = " and ".join(f"--{kind}" for kind in kinds)
         raise CrosscheckError(f"{names} are different benchmarks; choose one")
+    if sensitivities and engines:
+        raise CrosscheckError(f"--sensitivities are those of {SOLVER.name}; leave out --engines")
     options = with_excitation(scene, scene_options(settings))
     loaded, chosen = load_with_warnings(scene, options), choose(engines or list(ENGINES))
     request = BenchmarkRequest(loaded, scene, options, chosen, error, batch or 0)
@@ -367,6 +369,10 @@ def faults_command(
     from crosscheck.support.files import write_files
 
     options = scene_options(settings)
+    if reading and engines:
+        raise CrosscheckError(
+            "--reading is the import of the file, which no engine runs; leave out --engines"
+        )
     if reading:
         options = refuse_excitation(options, why="what is read is verified as the file stands")
     loaded, import_report = load_scene(scene, options)

@@ -55,7 +55,7 @@ def list_command(scene: str | None, settings: tuple[str, ...]) -> int:
         return AGREE  # exit status 0
     if settings:
         raise CrosscheckError("--set has no effect here: it is of a scene")
-    from crosscheck.engines.registry import ENGINES
+    from crosscheck.engines.registry import names
     from crosscheck.library import SCENES
     from crosscheck.library.model_files import MJCF_OPTIONS, URDF_OPTIONS
     from crosscheck.library.options import options_of
@@ -78,7 +78,7 @@ def list_command(scene: str | None, settings: tuple[str, ...]) -> int:
     say(f"limits of whatever is read and run{':' if is_verbose() else ', such as time=600: list -v'}")
     for name, limit in LIMITS.items() if is_verbose() else ():
         say(f"    --set {name}={limit.unit.upper()}, {limit.meaning}  [default: {limit}]")
-    say(f"engines: {', '.join(ENGINES)}")
+    say(f"engines: {', '.join(names())}")
     return AGREE
 
 

@@ -179,7 +179,7 @@ def _run_library(engines: list[str] | None, output: Path | None) -> int:
     """Crosscheck all scenes of the library, print a table with a row per scene, and return the exit status.
 
     Args:
-        engines: names of the engines; None for all.
+        engines: names of the engines; None for the default ones.
         output: parent of the scenes' result folders; `OUTPUT` if None.
     """
     from crosscheck.cli.run_all import outcome_lines, outcomes_table, run_all

@@ -166,7 +166,7 @@ def engines_option(command: Callable[..., int]) -> Callable[..., int]:
         choose(wanted)
         return wanted
 
-    text = f"Engines, separated by commas, or all that are installed.  [default: {DEFAULT_ENGINES}]"
+    text = f"Engines, separated by commas; `all` names every installed one.  [default: {DEFAULT_ENGINES}]"
     return click.option("--engines", metavar="NAMES", callback=names, help=text)(command)
 
 

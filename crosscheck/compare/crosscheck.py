@@ -25,6 +25,7 @@ from crosscheck.compare.singularity import SingularConfigurations, find_singular
 from crosscheck.compare.wording import verdict_of
 from crosscheck.engines.engine import Engine
 from crosscheck.engines.engine_runs import Stop, collecting_errors, run_engines, stops_text
+from crosscheck.engines.registry import ENGINES, EngineError
 from crosscheck.own_run.judge import Judgement, judge
 from crosscheck.support.errors import CrosscheckError, reason_of
 from crosscheck.support.time_limits import SHORTER_RUN_ADVICE, limited
@@ -213,14 +214,20 @@ def _usable_engines(scene: Scene, engines: Sequence[Engine]) -> tuple[list[Engin
     Raises:
         NewtonEulerError: the error of the first engine, if no engine can represent the scene.
     """
-    usable, errors = [], {}
+    usable: list[Engine] = []
+    errors: dict[str, Exception] = {}
     for engine in engines:
         refined = lru_cache(_naming_refined_run(engine))
         cached = replace(engine, refined=refined, systems=lru_cache(engine.systems))
         try:
             cached.systems(scene)
-        except NewtonEulerError as error:
+        except (NewtonEulerError, EngineError) as error:
             errors[engine.name] = error
+        except Exception as error:
+            if engine.name in ENGINES:
+                raise
+            # a fault of another package leaves the other engines untouched
+            errors[engine.name] = EngineError(f"{engine.name}: {reason_of(error)}")
         else:
             usable.append(cached)
     if not usable:

@@ -101,7 +101,7 @@ class Engine:
         drift: expected constraint violation, relative to the mechanism's reach (lengths) or in rad.
         energy_error: expected energy balance error, relative to the largest energy.
         package: distribution of the engine, as pip names it, whose version is recorded.
-        label: name in texts; `name` is used if it is empty.
+        label: name in texts of importers and references, such as "MuJoCo".
         min_version: oldest version of the package that can be used.
         color, line: color #rrggbb of a default engine, and dash pattern of matplotlib with width, points;
             thick solid under thin dashed lines, so that all of several equal curves are visible.
@@ -111,8 +111,8 @@ class Engine:
         refined_in_full: as `refined`, but always with reactions and actuator forces; `refined` is used if
             None.
         fixed_steps: runs at a fixed step; None if the engine has none, or none that repeats to round-off.
-        at_tolerance: simulates a scene at a relative tolerance, with error control and rigid constraints;
-            None if the engine has no such runs, or equations that are not independent of newton_euler's.
+        at_tolerance: simulates a scene with DOP853 at a relative tolerance and rigid constraints; None if the
+            engine has no such runs, or equations that are not independent of newton_euler's.
         with_moved_anchor: returns the equations of a scene of which one loop-closing joint, by name, has its
             point in the second body moved by a vector (3,), m, as a planted fault; None if the engine takes
             both points from the scene.

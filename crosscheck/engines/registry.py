@@ -6,17 +6,15 @@ installed package, whose object is an `Engine`. It runs if it is named, or with 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, version
 from typing import Final, Never
-
-from packaging.version import Version
 
 from crosscheck.engines import mujoco, newton_euler, pinocchio
 from crosscheck.engines.engine import Engine
 from crosscheck.support.errors import CrosscheckError, reason_of
 from newton_euler.errors import DISTRIBUTION, choices
-from newton_euler.model.scene import Scene
 
 SOLVER = newton_euler.ENGINE
 """This project's own solver, whose runs are references for settings of the others."""
@@ -31,11 +29,20 @@ ALL: Final = "all"
 """Name that stands for every engine that is installed."""
 
 
+NAME: Final = re.compile("[a-z][a-z0-9_]*")
+"""Form of the names of engines, which are names of files, too."""
+
+RESERVED: Final = frozenset(
+    {ALL, "relative", "cartesian", "model", "integrators", "own_run", "reference", "baseline", "file"}
+)
+"""Names that stand for something else in results and baselines."""
+
+
 class EngineError(CrosscheckError):
     """An engine that cannot be used: not installed, too old, or broken."""
 
 
-class MissingPackageError(EngineError):
+class NotInstalledError(EngineError):
     """An engine whose package is not installed."""
 
 
@@ -49,23 +56,24 @@ def choose(wanted: Iterable[str]) -> list[Engine]:
 
     Args:
         wanted: names of engines; `ALL` stands for every engine that is installed. Engines that are installed
-            and cannot be used are among these, too: their runs raise the reason.
+            and cannot be used are among these, too: their functions raise an `EngineError`.
 
     Raises:
         EngineError: for an engine that is not installed, is too old or cannot be loaded.
         CrosscheckError: for unknown or repeated names, or none.
     """
-    asked, known = list(wanted), (*names(), ALL)
+    asked = list(wanted)
     if not asked:
-        raise CrosscheckError(f"no engine named; choose from: {', '.join(known)}")
-    for name in asked:
-        if name not in known:
-            raise CrosscheckError(f"unknown engine {name!r}; {choices(name, known)}")
-        if asked.count(name) > 1:
-            raise CrosscheckError(f"engine {name!r} is named {asked.count(name)} times")
+        raise CrosscheckError(f"no engine named; choose from: {', '.join((*names(), ALL))}")
     found: dict[str, Engine] = {}
     for name in asked:
-        engines = [*ENGINES.values(), *_installed()] if name == ALL else [ENGINES.get(name) or _load(name)]
+        if asked.count(name) > 1:
+            raise CrosscheckError(f"engine {name!r} is named {asked.count(name)} times")
+        # entry points are read for names of other packages only
+        if name == ALL:
+            engines = [*ENGINES.values(), *_installed()]
+        else:
+            engines = [ENGINES[name] if name in ENGINES else _load(name)]
         found |= {engine.name: engine for engine in engines if engine.name not in found}
     return list(found.values())
 
@@ -76,40 +84,58 @@ def _points() -> list[EntryPoint]:
 
 
 def _load(name: str) -> Engine:
-    """Load an engine by its entry point; raises `EngineError` if that is not possible."""
-    points = [point for point in _points() if point.name == name]
-    if len({point.value for point in points}) > 1:
-        registered = ", ".join(point.value for point in points)
-        raise EngineError(f"engine {name!r} is registered more than once: {registered}")
+    """Load an engine by its entry point.
+
+    Raises:
+        CrosscheckError: for an unknown name; `EngineError` for an engine that cannot be used.
+    """
+    values = {point.value: point for point in _points() if point.name == name}
+    if not values:
+        known = (*names(), ALL)
+        raise CrosscheckError(f"unknown engine {name!r}; {choices(name, known)}")
+    if len(values) > 1:
+        raise EngineError(f"engine {name!r} is registered more than once: {', '.join(values)}")
+    if not NAME.fullmatch(name) or name in RESERVED:
+        needed = f"lower case, digits and _, and none of {', '.join(sorted(RESERVED))}"
+        raise EngineError(f"engine {name!r}: no name of an engine; needed: {needed}")
+    ((where, point),) = values.items()
     try:
-        engine = points[0].load()
-    except Exception as error:  # code of another package
-        where, reason = points[0].value, reason_of(error)
+        return _checked(point.load(), name, where)
+    except EngineError:
+        raise
+    except ModuleNotFoundError as error:
+        reason = f"module {error.name} is not installed"
+        raise NotInstalledError(f"engine {name!r}, {where}: {reason}") from error
+    except (Exception, SystemExit) as error:  # code of another package
+        reason = reason_of(error) if isinstance(error, Exception) else f"it exits with {error.code}"
         raise EngineError(f"engine {name!r} cannot be loaded from {where}: {reason}") from error
+
+
+def _checked(engine: object, name: str, where: str) -> Engine:
+    """Return what an entry point names, if it is an engine of this name whose package is new enough."""
+    from packaging.version import Version
+
     if not isinstance(engine, Engine) or engine.name != name:
-        raise EngineError(f"engine {name!r}: {points[0].value} is {engine!r}; needed: an Engine of this name")
+        raise EngineError(f"engine {name!r}: {where} is {engine!r}; needed: an Engine of this name")
     oldest = engine.min_version
     needed = f"needed: {oldest} or newer, as by: pip install '{engine.package}>={oldest}'"
     try:
         found = version(engine.package)
     except PackageNotFoundError as error:
         reason = f"package {engine.package} is not installed; {needed}"
-        raise MissingPackageError(f"engine {name!r}: {reason}") from error
+        raise NotInstalledError(f"engine {name!r}: {reason}") from error
     if Version(found) < Version(oldest):
         raise EngineError(f"engine {name!r}: package {engine.package} has version {found}; {needed}")
     return engine
 
 
 def _installed() -> list[Engine]:
-    """Return the engines besides the default ones whose packages are installed.
-
-    One that cannot be used raises the reason from each of its functions, so that the others run.
-    """
+    """Return the engines besides the default ones whose packages are installed, also unusable ones."""
     found = []
     for name in sorted({point.name for point in _points()}):
         try:
             found.append(_load(name))
-        except MissingPackageError:
+        except NotInstalledError:
             continue
         except EngineError as error:
             found.append(_unusable(name, error))
@@ -119,7 +145,9 @@ def _installed() -> list[Engine]:
 def _unusable(name: str, error: EngineError) -> Engine:
     """Return an engine whose functions raise an error."""
 
-    def refuse(scene: Scene) -> Never:
+    def refuse(*_: object) -> Never:
         raise error
 
-    return Engine(name, refuse, refuse, refuse, package=DISTRIBUTION)
+    return Engine(
+        name, refuse, refuse, refuse, package=DISTRIBUTION, benchmarks=refuse, stress_settings=refuse
+    )

@@ -28,7 +28,7 @@ from pydantic import (
     model_validator,
 )
 
-from crosscheck.engines.registry import names
+from crosscheck.engines.registry import ENGINES, SOLVER
 from crosscheck.engines.versions import versions
 from crosscheck.library.entries import Number, Quaternion, Vector
 from crosscheck.support.checksum import with_checksum
@@ -42,10 +42,14 @@ FIXED_GROUPS = ("model", "relative", "cartesian", "integrators", "own_run")
 """Names of the groups that are not engines."""
 
 
+GROUPS_OF_ENGINES = tuple(name for name in ENGINES if name != SOLVER.name)
+"""Names of the groups of other engines."""
+
+
 def _known_group(name: str) -> str:
-    """Return the name of a group; raises `ValueError` if it is none of `FIXED_GROUPS`, and no engine."""
-    if name not in FIXED_GROUPS and name not in names():
-        raise ValueError(f"{name!r} is no group; {choices(name, [*FIXED_GROUPS, *names()])}")
+    """Return the name of a group; raises `ValueError` for any other name."""
+    if name not in (known := (*FIXED_GROUPS, *GROUPS_OF_ENGINES)):
+        raise ValueError(f"{name!r} is no group; {choices(name, known)}")
     return name
 
 

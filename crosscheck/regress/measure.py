@@ -27,9 +27,15 @@ import numpy as np
 
 from crosscheck.compare.check import ERROR_PER_CHANGE, round_off
 from crosscheck.engines.energy import energy_balance
-from crosscheck.engines.registry import ENGINES, SOLVER, choose
+from crosscheck.engines.registry import choose
 from crosscheck.own_run.judge import measure_error
-from crosscheck.regress.baseline import OPERATIONS_PREFIX, GroupName, MeasurementPlan, StoredQuantity
+from crosscheck.regress.baseline import (
+    GROUPS_OF_ENGINES,
+    OPERATIONS_PREFIX,
+    GroupName,
+    MeasurementPlan,
+    StoredQuantity,
+)
 from crosscheck.regress.plan import MAIN_FORMULATION, TIGHTER_FACTOR, shortened_scene
 from crosscheck.regress.quantities import XYZ, Measurement, RelativeTolerances
 from crosscheck.support.errors import CrosscheckError, reason_of
@@ -84,8 +90,7 @@ def measure_group(
         that is compared with the baseline, too.
     """
     try:
-        measure = GROUPS.get(group, _measure_engine)  # an engine that does not run unless it is named
-        return list(measure(Measurement(group, scene, plan, simulation)))
+        return list(GROUPS[group](Measurement(group, scene, plan, simulation)))
     except Exception as error:
         return reason_of(error)
 
@@ -242,7 +247,7 @@ GROUPS: dict[GroupName, Callable[[Measurement], Iterator[StoredQuantity]]] = {
     "relative": _measure_formulation,
     "cartesian": _measure_formulation,
     "integrators": _measure_integrators,
-    **{name: _measure_engine for name in ENGINES if name != SOLVER.name},
+    **dict.fromkeys(GROUPS_OF_ENGINES, _measure_engine),
     "own_run": _measure_own_run,
 }
 """Functions that measure all quantities of a group, by the name of the group."""

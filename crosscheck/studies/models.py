@@ -34,7 +34,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from crosscheck.compare.activity import what_acted
 from crosscheck.compare.outcome import ExitStatus, Outcome
-from crosscheck.engines.registry import ENGINES
+from crosscheck.engines.registry import ENGINES, SOLVER
 from crosscheck.library.model_files import is_urdf_file
 from crosscheck.report.render import markdown_table
 from crosscheck.report.table import Rows, Table, text_columns
@@ -50,8 +50,11 @@ MAX_CPU_TIME = 600
 MAX_WALL_TIME = 3600.0
 """Largest wall time of one model, s."""
 
-OWN_RUN_ENGINES = ",".join(name for name, engine in ENGINES.items() if not engine.stress().is_slow)
-"""Engines of runs for the table of own runs, which needs the reference solution only."""
+OWN_RUN_ENGINES = ",".join(
+    name for name, engine in ENGINES.items() if engine is SOLVER or engine.soft_constraints
+)
+"""Engines of runs for the table of own runs: newton_euler, whose run is the reference, and the engine of MJCF
+files, which has soft constraints."""
 
 REPEATING_SCRIPT = Path("own_runs", "engine_alone.py")
 """Script that repeats files' own runs with MuJoCo alone; the path is relative to the folder of the list."""

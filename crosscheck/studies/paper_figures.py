@@ -110,7 +110,7 @@ def violation(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
     With coarse steps, newton_euler uses joint coordinates, its default for this scene, and there is a curve
     for each method of stabilization.
     """
-    labels = ["engines\nlargest |Phi|, m or rad", "newton_euler, RK4 at 10 ms\nlargest |Phi|, m or rad"]
+    labels = ["engines\nlargest |Phi|, m or rad", f"{SOLVER.name}, RK4 at 10 ms\nlargest |Phi|, m or rad"]
     figure, axes = _figure_with_panels("Figure 6: kinematic constraints", labels)
 
     def largest(run: Trajectory) -> Array:

@@ -237,7 +237,7 @@ def result_line(checked: Sequence[CheckedRun], extremes: Collection[int]) -> str
     kept = [check for each in checked for check in each.kept]
     judged = [check for check in kept if check.judged]
     engines = checked[0].engines
-    who = "all engines" if set(engines) == set(ENGINES) else ", ".join(engines)
+    who = "the default engines" if set(engines) == set(ENGINES) else ", ".join(engines)
     who += " alone" if len(engines) == 1 else ""
     found = f"{who} in all checks of {of_runs}"
     if judged:

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from crosscheck.engines.registry import SOLVER
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.sweeps.expressions import DIMENSIONS, Outputs, labels
 from crosscheck.sweeps.reductions import Reduction, pruned, reductions
@@ -47,7 +48,7 @@ RECORDED_PACKAGES = ("numpy", "scipy", "xarray", "zarr")
 """Packages whose versions are stored with a sweep."""
 
 CONDITION_DIFFERENCES = {
-    "solver": "another version of newton_euler",
+    "solver": f"another version of {SOLVER.name}",
     "crosscheck": "another version of crosscheck",
     "processor": "another kind of processor",
     "samples": "other samples by the same seed, of other versions of packages,",

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from importlib.metadata import EntryPoint, version
 
 import pytest
 from command_line import run
-from mechanisms import pendulum
 
+from crosscheck.cli.shared import DEFAULT_ENGINES
 from crosscheck.engines import registry
-from crosscheck.engines.registry import ENGINES, ENTRY_POINTS, SOLVER, EngineError, choose
+from crosscheck.engines.registry import (
+    ENGINES,
+    ENTRY_POINTS,
+    SOLVER,
+    EngineError,
+    NotInstalledError,
+    choose,
+)
 from crosscheck.support.errors import CrosscheckError
 
 TOY = replace(SOLVER, name="toy", package="numpy", min_version="1.2")
@@ -18,6 +26,13 @@ TWIN = replace(TOY)
 OLD = replace(TOY, name="old", min_version="9999.10")
 ABSENT = replace(TOY, name="absent", package="absent-package")
 NO_ENGINE = "no engine"
+
+
+def _raise(scene):
+    raise ImportError("a library is missing")
+
+
+RAISING = replace(TOY, name="raising", systems=_raise)
 
 
 @pytest.fixture
@@ -62,12 +77,42 @@ def test_an_engine_that_cannot_be_used_says_why(registered, name, value, reason)
     assert "\n" not in str(caught.value)
 
 
-def test_a_broken_engine_among_all_leaves_the_others_untouched(registered):
-    registered(old="OLD")
-    *others, old = choose(["all"])
-    assert others == list(ENGINES.values())
-    with pytest.raises(EngineError, match=r"9999\.10 or newer"):
-        old.simulate(pendulum())
+@pytest.mark.parametrize("name", ["all", "relative", "own_run", "../x", "a,b", "Toy", ""])
+def test_names_that_no_engine_can_have(registered, name):
+    registered(**{name: "TOY"})
+    with pytest.raises(EngineError, match="no name of an engine"):
+        registry._load(name)
+
+
+@pytest.mark.parametrize(
+    ("code", "reason", "error"),
+    [
+        ("import no_such_package", "module no_such_package is not installed", NotInstalledError),
+        ("raise RuntimeError('no license')", "no license", EngineError),
+        ("raise SystemExit(3)", "it exits with 3", EngineError),
+    ],
+)
+def test_modules_that_cannot_be_imported(monkeypatch, tmp_path, code, reason, error):
+    (tmp_path / "bad_engine.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    point = EntryPoint("bad", "bad_engine:ENGINE", ENTRY_POINTS)
+    monkeypatch.setattr(registry, "entry_points", lambda group: [point])
+    with pytest.raises(error, match=reason):
+        choose(["bad"])
+    monkeypatch.delitem(sys.modules, "bad_engine", raising=False)
+
+
+def test_unusable_engines_leave_the_others_untouched(registered, capsys, tmp_path):
+    registered(old="OLD", raising="RAISING")
+    status, out, _ = run(capsys, "run", "pendulum", "--engines", "all", "--output", tmp_path)
+    assert status == 3
+    assert "AGREE (3 of 5 engines): newton_euler, mujoco, pinocchio agree" in out
+    assert "9999.10 or newer" in out
+    assert "a library is missing" in out
+
+
+def test_the_help_names_the_default_engines():
+    assert DEFAULT_ENGINES.split(",") == list(ENGINES)
 
 
 def test_two_packages_with_one_name(registered, monkeypatch):

@@ -10,7 +10,7 @@ from newton_euler.model.scene import Scene
 
 
 def taking(engine: Engine, change: Callable[[Scene], Scene]) -> Engine:
-    """Return the engine with all of its functions evaluating a changed scene instead of the given one."""
+    """Return the engine with runs, refined runs and equations of a changed scene instead of the given one."""
     soft = engine.soft_constraints
     return replace(
         engine,

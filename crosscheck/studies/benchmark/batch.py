@@ -180,10 +180,11 @@ def benchmark_batch(
     batches = [Batch(lanes, lanes_setting, states)]
     missing: dict[str, str] = {}
     for engine in engines:
-        make = engine.benchmarks().batch
-        if make is None or engine.name == SOLVER.name:
+        if engine.name == SOLVER.name:
             continue
         try:
+            if (make := engine.benchmarks().batch) is None:
+                continue
             other = make(scene, given.output_period)
             setting = fastest_setting(other, known, poses, error, progress)
         except (NewtonEulerError, CrosscheckError) as reason:

@@ -95,7 +95,7 @@ def reference(scene: Scene, progress: Progress, rtols: Sequence[float] = REFEREN
     missing: dict[str, str] = {}
     for rtol in rtols:
         runs = _runs(scene, rtol, missing, progress)
-        # names begin with the equations of motion, as in "Pinocchio, rtol 5e-14"
+        # names begin with the equations of motion, as in "Pinocchio, DOP853 rtol 5e-14"
         if len({name.split(",")[0] for name in runs}) > 1:
             break
     else:
@@ -136,9 +136,9 @@ def _candidates(scene: Scene, tightest: float) -> dict[str, Callable[[], Traject
     for rtol in (tightest, 2.0 * tightest):
         for engine in ENGINES.values():
             if engine.at_tolerance is not None:
-                runs[f"{engine.label}, rtol {rtol:.0e}"] = partial(engine.at_tolerance, scene, rtol)
+                runs[f"{engine.label}, DOP853 rtol {rtol:.0e}"] = partial(engine.at_tolerance, scene, rtol)
     for formulation in reversed(FORMULATIONS):
-        runs[f"{SOLVER.name} {formulation}, rtol {tightest:.0e}"] = partial(
+        runs[f"{SOLVER.name} {formulation}, DOP853 rtol {tightest:.0e}"] = partial(
             simulate, scene, formulation=formulation, rtol=tightest, atol=0.01 * tightest
         )
     return runs

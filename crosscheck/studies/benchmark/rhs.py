@@ -67,7 +67,7 @@ class Timing(Timed):
     @property
     def is_baseline(self) -> bool:
         """True for interfaces to newton_euler, with which the other engines are compared."""
-        return self.way.startswith(SOLVER.name)
+        return self.way.split(" ")[0] == SOLVER.name
 
 
 def right_hand_sides(engines: Sequence[Engine]) -> dict[str, Callable[[Scene], RightHandSide]]:
@@ -96,12 +96,12 @@ def time_right_hand_sides(
     # Request no outputs but poses: others, such as the energy, would make the equations longer
     scene = poses_only(scene)
     # Measure the loading time of each interface in a separate process, and load the interface here
-    timings, sides, names = {}, {}, [engine.name for engine in engines]
+    timings, sides = {}, {}
     makers = right_hand_sides(engines)
     for way in makers if ways is None else ways:
         progress(f"loading {way}")
         (found,) = run_in_processes(
-            partial(measure_loading, scene, names),
+            partial(measure_loading, scene),
             tasks=[way],
             processes=1,
             done=lambda *_: None,
@@ -141,7 +141,7 @@ def _calls_per_batch(repeat: Callable[[int], float]) -> int:
     return max(1, round(count * BATCH_DURATION / seconds))
 
 
-def measure_loading(scene: Scene, engines: Sequence[str], way: str) -> Timing:
+def measure_loading(scene: Scene, way: str) -> Timing:
     """Measure the loading time of one interface in this process, without a compilation cache.
 
     The import of the engine's package is part of it. The memory of the process is limited. An error becomes
@@ -151,8 +151,9 @@ def measure_loading(scene: Scene, engines: Sequence[str], way: str) -> Timing:
     resource.setrlimit(resource.RLIMIT_AS, (max_bytes, max_bytes))
     os.environ[CACHE_VARIABLE] = ""
     try:
+        engines = choose([way.split(" ")[0]])
         start = time.perf_counter()
-        side = right_hand_sides(choose(engines))[way](scene)
+        side = right_hand_sides(engines)[way](scene)
         side.repeat(1)
         seconds = time.perf_counter() - start
     except Exception as error:  # the table reports any error of an engine

@@ -13,7 +13,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from crosscheck.engines.benchmarks import poses_only
+from crosscheck.engines.benchmarks import Models, poses_only
 from crosscheck.engines.engine import Engine
 from crosscheck.library.options import titled
 from crosscheck.report.output import usual_folder
@@ -22,8 +22,8 @@ from crosscheck.report.table import Cell, Lines, Part, Report
 from crosscheck.studies.benchmark import batch, report, rhs, sensitivities
 from crosscheck.studies.benchmark.reference import reference
 from crosscheck.studies.benchmark.timing import Progress, machine
-from crosscheck.studies.benchmark.work_precision import measure
-from crosscheck.support.errors import CrosscheckError
+from crosscheck.studies.benchmark.work_precision import Failure, measure
+from crosscheck.support.errors import CrosscheckError, reason_of
 from crosscheck.support.files import check_no_source, check_writable, write_files
 from newton_euler.model.scene import Scene
 
@@ -126,9 +126,16 @@ def _whole_runs(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkResult
     scene = poses_only(wanted.scene)
     motion = reference(scene, progress)
     # for each engine, the functions that load the scene, by variant of the engine's equations
-    loaders = {engine.name: engine.benchmarks().models(scene) for engine in wanted.engines}
+    loaders, failures = dict[str, Models](), list[Failure]()
+    for engine in wanted.engines:
+        try:
+            loaders[engine.name] = engine.benchmarks().models(scene)
+        except Exception as error:  # the table reports any error of an engine
+            failures.append(Failure(engine.name, "benchmarks", reason_of(error)))
     measured = measure(loaders, motion.poses, progress)
-    result = report.Benchmark(wanted.title, scene, motion, measured, list(loaders))
+    measured.failures.extend(failures)
+    names = [engine.name for engine in wanted.engines]
+    result = report.Benchmark(wanted.title, scene, motion, measured, names)
     return BenchmarkResult(
         data=report.data(result),
         parts=list(report.parts(result)),

@@ -27,7 +27,7 @@ from crosscheck.compare.levels import EQUATION_LEVELS, Level, compare_pair
 from crosscheck.compare.outlier import diagnose
 from crosscheck.compare.samples import Samples, States
 from crosscheck.engines.engine import Engine
-from crosscheck.engines.registry import ENGINES, choose
+from crosscheck.engines.registry import ENGINES, EngineError, choose
 from crosscheck.studies.faults.catalog import FAULT_SIZES, Fault, catalog
 from crosscheck.studies.faults.misreadings import ALL_BODIES, misreadings
 from crosscheck.studies.faults.velocity_terms import without_velocity_term
@@ -181,10 +181,12 @@ def find_faults(
         CrosscheckError: if the engines disagree on the scene without a fault.
         NewtonEulerError: if no engine can express the scene.
     """
-    fault_free = FaultFree(scene, choose(dict.fromkeys([*ENGINES, *names])))
-    engines = [fault_free.engines[name] for name in names if name in fault_free.engines]
+    named = choose(names)
+    compared = {engine.name: engine for engine in (*ENGINES.values(), *named)}
+    fault_free = FaultFree(scene, list(compared.values()))
+    engines = [engine for engine in named if engine.name in fault_free.engines]
     if not engines:
-        raise fault_free.refusals[names[0]]
+        raise fault_free.refusals[named[0].name]
     faults = catalog(scene, sizes)
     found = [
         find_fault(fault, engines[number % len(engines)], fault_free)
@@ -235,13 +237,16 @@ class FaultFree:
         # Equations of each engine, in the first of its formulations (choices of coordinates)
         self.scene, self.samples = scene, samples_of(scene)
         self.engines: dict[str, Engine] = {}
-        self.refusals: dict[str, NewtonEulerError] = {}
+        self.refusals: dict[str, NewtonEulerError | EngineError] = {}
         self._samples_of_engine: dict[str, Samples] = {}
         for engine in ENGINES.values() if engines is None else engines:
             try:
-                system = engine.systems(scene)[0]
-            except NewtonEulerError as error:
+                system, *_ = engine.systems(scene) or (None,)
+            except (NewtonEulerError, EngineError) as error:
                 self.refusals[engine.name] = error
+                continue
+            if system is None:
+                self.refusals[engine.name] = EngineError(f"{engine.name} has no equations of motion")
                 continue
             self.engines[engine.name] = engine
             self._samples_of_engine[engine.name] = Samples(system, self.samples.states)

@@ -16,6 +16,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, NamedTuple
 
+from crosscheck.engines.registry import SOLVER
 from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table, number_columns, text_columns
 from crosscheck.studies.faults.find import (
     RANDOM_STATES,
@@ -30,7 +31,7 @@ REQUIRED_LOCATION_RATE = 0.95
 """Smallest fraction of the required faults (see `_required`) that must be located."""
 
 UNOBSERVABLE_MEANS = (
-    "with and without the fault newton_euler has the same poses, velocities, energies, accelerations and "
+    f"with and without the fault {SOLVER.name} has the same poses, velocities, energies, accelerations and "
     f"reactions at {RANDOM_STATES + 1} states, to round-off"
 )
 """Explanation of the word "unobservable" in the report."""

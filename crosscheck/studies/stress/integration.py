@@ -184,7 +184,7 @@ STEP_BOUND = Bound(
     "s",
     survives=1e-3,
     degrades=1e-4,
-    reason="the usual step of game and robot engines is 2 ms; a tenth of that costs too much",
+    reason="a usual step of robot simulations is 2 ms; a tenth of that costs too much",
     at_least=True,
 )
 """Bound on the largest usable fixed step."""

@@ -331,7 +331,7 @@ def test_a_reference_comes_from_looser_tolerances_where_the_tight_one_fails(shor
 
     monkeypatch.setattr(benchmark_reference, "_candidates", only_loosely)
     against = reference(short, lambda message: None)
-    assert against.name == "Pinocchio, rtol 1e-11"
+    assert against.name == "Pinocchio, DOP853 rtol 1e-11"
     assert set(against.missing.values()) == {"too tight"}
     # 1e-11 an error of each step, a handful of steps
     assert against.uncertainty < 1e-9
