@@ -21,6 +21,7 @@ from mjcf.errors import DivergenceError, collected_warnings
 from mjcf.write import SOLIMP, TIMESTEP
 from newton_euler.arguments import checked
 from newton_euler.equations.applied_forces import surroundings, with_likely_causes
+from newton_euler.equations.load_friction import jam
 from newton_euler.equations.parameters import pieces
 from newton_euler.errors import OptionError, UnknownNameError
 from newton_euler.integrators.options import MAX_FIXED_STEPS
@@ -317,6 +318,5 @@ def _divergence(warning: str, time: float, outputs: Sequence[Output]) -> Diverge
     scene, state = last.system.scene, last.system.state(last.q, last.v)
     friction = partial(last.system.loaded_friction, last.q, last.v)
     force_inputs = surroundings(scene, state, time)._replace(friction=friction)
-    jam = last.system.friction.jam if last.system.friction else ""
-    reason = jam or warning.partition(". ")[0]
+    reason = jam(scene, friction, [last.q, last.v]) or warning.partition(". ")[0]
     return DivergenceError(time, with_likely_causes(scene, state, reason, force_inputs))

@@ -140,13 +140,16 @@ def _approximate(scene: Scene, report: ImportReport, friction: str, stop: str) -
     """
     for force in scene.switched_forces:
         if isinstance(force, JointFriction):
-            report.approximated(force.element, f"as {friction}", FRICTION)
+            if force.coulomb:
+                report.approximated(force.element, f"as {friction}", FRICTION)
             if force.stribeck:
                 why = f"its Stribeck friction {force.stribeck:g}: the format has Coulomb friction alone"
                 report.left_out(force.element, why, topic="Stribeck friction")
             if force.is_loaded:
                 why = "its friction that grows with the reaction: the format has Coulomb friction alone"
                 report.left_out(force.element, why, topic="load coefficient")
+            if not (force.coulomb or force.stribeck or force.is_loaded):
+                report.left_out(force.element, "its strengths are 0: it exerts nothing", moves_nothing=True)
         elif isinstance(force, JointStop) and not force.stiffness:
             report.left_out(force.element, "its stiffness is 0: it exerts nothing", moves_nothing=True)
         elif isinstance(force, JointStop):

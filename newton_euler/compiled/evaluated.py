@@ -358,8 +358,9 @@ class EvaluatedSystem(Callbacks):
             reason = str(error)
         with np.errstate(all="ignore"):  # a run may have ended because its numbers are not finite
             friction = partial(system.loaded_friction, last[: system.nq], last[system.nq :])
-            reason = jam(system.scene, friction, [last]) or reason
             around = surroundings(system.scene, state, time)._replace(friction=friction)
-            if status in (Status.TOO_MANY_STEPS, Status.STEP_TOO_SMALL):
+            if jammed := jam(system.scene, friction, [last]):
+                reason = jammed
+            elif status in (Status.TOO_MANY_STEPS, Status.STEP_TOO_SMALL):
                 reason = too_many_or_small_steps(reason, system.scene, around, integrator)
             return IntegrationError(time, with_likely_causes(system.scene, state, reason, around))

@@ -123,36 +123,36 @@ def too_many_or_small_steps(reason: str, scene: Scene, at: Surroundings, integra
 def stiffest_switch(scene: Scene, at: Surroundings) -> str:
     """Name the dry friction or the stop that makes steps of a run short, and what to change; "" for none.
 
-    It is the friction with the smallest transition speed that sticks, or else the stiffest stop
-    that acts.
+    It is the friction with the smallest transition speed that sticks, or else the stiffest stop or gear that
+    acts.
 
     Args:
         scene: the scene.
         at: quantities that the forces depend on at the last state of the run.
     """
-    sticking, acting = dict[str, tuple[float, str]](), list[JointStop]()
+    sticking, acting = dict[str, tuple[float, str]](), dict[str, tuple[float, str]]()
     for force in scene.switched_forces:
+        is_slide = at.mechanism.is_slide(*force.unit_key)
+        if isinstance(force, JointStop | ElasticGear) and force.energy(at) > 0.0:
+            acting[force.element] = float(force.stiffness), "N/m" if is_slide else "N m/rad"
         if isinstance(force, JointStop):
-            if force.energy(at) > 0.0:
-                acting.append(force)
             continue
         if isinstance(force, JointFriction):
             ratio = force.measure(at)[1] / force.transition_speed
+            is_dry = bool(force.coulomb or force.stribeck or force.is_loaded)
         elif isinstance(force, ElasticGear):
             ratio = force.speed_ratio(at)
+            is_dry = not force.forward_efficiency == force.backward_efficiency == 1.0
         else:
             assert_never(force)
-        if abs(ratio) <= STICKING:
-            unit = "m/s" if at.mechanism.is_slide(*force.unit_key) else "rad/s"
-            sticking[force.element] = float(force.transition_speed), unit
+        if is_dry and abs(ratio) <= STICKING:
+            sticking[force.element] = float(force.transition_speed), "m/s" if is_slide else "rad/s"
     if sticking:
         element, (speed, unit) = min(sticking.items(), key=lambda item: item[1][0])
         return f"{element} is stiff below its transition_speed of {speed:g} {unit}: use a larger one"
     if acting:
-        hardest = max(acting, key=lambda stop: float(stop.stiffness))
-        unit = "N/m" if at.mechanism.is_slide(*hardest.key) else "N m/rad"
-        stiffness = f"{float(hardest.stiffness):g} {unit}"
-        return f"{hardest.element} acts with a stiffness of {stiffness}: use a smaller one"
+        element, (stiffness, unit) = max(acting.items(), key=lambda item: item[1][0])
+        return f"{element} acts with a stiffness of {stiffness:g} {unit}: use a smaller one"
     return ""
 
 

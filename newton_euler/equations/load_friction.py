@@ -159,7 +159,6 @@ class EngineFriction:
 
     Attributes:
         elements: the elements of the scene whose friction grows with reactions.
-        jam: description of the frictions that have jammed in an evaluation so far; "" for none.
     """
 
     def __init__(self, scene: Scene, build: Callable[[Scene], FrictionModel]) -> None:
@@ -169,7 +168,6 @@ class EngineFriction:
         self._joints = [scene.mechanism.joint_index(element.joint) for element in self.elements]
         self._model: FrictionModel | None = None
         self._last: tuple[Any, dict[str, float]] = None, {}
-        self.jam = ""
 
     @property
     def model(self) -> FrictionModel:
@@ -213,6 +211,5 @@ class EngineFriction:
             found = dict.fromkeys(slopes, 0.0)
             if any(slopes.values()):
                 found = solve_frictions(slopes, reactions)
-            self.jam = self.jam or jam(scene, lambda _: found, [q, v])
             self._last = state, found
         return self._last[1]

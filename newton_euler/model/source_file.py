@@ -186,7 +186,7 @@ def csv_rows(path: str, text: str, comments: bool = False) -> list[Row]:
         SourceError: for invalid CSV, control characters, and separators other than commas.
     """
     if comments:
-        text = re.sub(r"^[ \t]*#.*$", "", text, flags=re.MULTILINE)  # lines keep their numbers
+        text = re.sub(r"(?:^|(?<=[\r\n]))[ \t]*#[^\r\n]*", "", text)  # lines keep their numbers
     reader = csv.reader(io.StringIO(text, newline=""))
     try:
         rows = [Row(reader.line_num, [cell.strip() for cell in row]) for row in reader if row]

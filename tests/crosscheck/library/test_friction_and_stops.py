@@ -106,6 +106,21 @@ def test_a_written_urdf_has_friction_and_limits(cart: Scene, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("suffix", ["xml", "urdf"])
+def test_friction_without_coulomb_friction_is_not_said_to_be_written(
+    suffix: str, cart: Scene, tmp_path: Path
+) -> None:
+    loaded, idle = (
+        JointFriction(name, 0.0, load_coefficient=c) for name, c in (("rail", 0.3), ("pivot", 0.0))
+    )
+    scene = replace(cart, forces=(loaded, idle))
+    report = scene_report(scene)
+    write_as(scene, tmp_path / f"cart.{suffix}", report)
+    assert report.of("approximated") == []
+    found = {(entry.element, entry.topic, entry.moves_nothing) for entry in report.of("left out")}
+    assert {(loaded.element, "load coefficient", False), (idle.element, "", True)} <= found
+
+
+@pytest.mark.parametrize("suffix", ["xml", "urdf"])
 def test_a_stop_without_stiffness_is_no_limit_of_a_written_file(
     suffix: str, cart: Scene, tmp_path: Path
 ) -> None:

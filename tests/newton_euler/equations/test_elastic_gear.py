@@ -20,6 +20,7 @@ from newton_euler import (
     Trajectory,
     statics,
 )
+from newton_euler.equations.applied_forces import stiffest_switch, surroundings
 from newton_euler.errors import MechanismError
 from newton_euler.model.initial_pose import described_at
 
@@ -177,3 +178,17 @@ def test_statics_take_gears_as_rigid_and_without_friction():
         held = statics(scene, state)
         assert held.actuators == ("bearing",)
         assert held.actuator_force == pytest.approx([RATIO * WEIGHT], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "blamed"),
+    [
+        ({}, "stiffness of 1e+08 N/m"),  # no friction
+        ({"forward_efficiency": 0.8, "transition_speed": 0.25}, "transition_speed of 0.25 m/s"),
+    ],
+)
+def test_what_makes_steps_short_is_the_friction_or_the_stiffness_of_a_gear(numbers, blamed):
+    scene = screw(**numbers)  # at rest, the gear carries the weight
+    named = stiffest_switch(scene, surroundings(scene, newton_euler.initial_state(scene)))
+    assert named.startswith("elastic gear 'screw' ")
+    assert blamed in named
