@@ -43,6 +43,9 @@ skips to the next set-point."""
 MAX_DEVIATION = float(np.radians(1.0))
 """Angle, rad, between a panel and its set-point above which the report warns of it."""
 
+MAX_OFF_VERTICAL = 1e-12
+"""Largest distance from 1 of the upward component of the normal of a panel that is horizontal: 1.4e-6 rad."""
+
 LARGE_ANGLE = 10.0
 """Set-point, rad, above which those of an actuator are printed in rad and not in mrad."""
 
@@ -102,7 +105,7 @@ class Day:
         sun: positions of the sun at the times of the set-points.
         aim: positions that the panel is to face: those of the sun, or for a mechanism with one degree of
             freedom the nearest directions that it can face (`crosscheck.solar.one_axis`).
-        wanted: (n, 3) wanted directions of the panel's normal (east, north, up).
+        wanted: (n, 3) wanted directions of the panel's normal.
         faced: directions that the panel faces instead of those that are blocked, and the poses of the
             set-points, whose normal is as close to these directions as the mechanism allows.
         loads: static loads of actuators and joints at these poses, under weight only; those of the followers
@@ -251,9 +254,12 @@ class Day:
         free, held = free_now[previous], self.wanted[previous]
         assert self.poses.direction is not None
         faced, reached = self.faced.directions[previous], self.poses.direction[previous]
+        # a sun behind the plane of a base that leans is aimed at in this plane: the tilt is limited there
+        in_front = above_base(self.sun, self.seen).direction
+        behind = angles(in_front, self.seen.direction)
         return {
-            "one axis only": angles(self.aim.direction, self.seen.direction),
-            "limits of tilt, shadow and wind": angles(free_now, self.aim.direction),
+            "one axis only": angles(self.aim.direction, in_front),
+            "limits of tilt, shadow and wind": angles(free_now, self.aim.direction) + behind,
             "the sun's way in a period": angles(free, free_now),
             "dead band": angles(held, free),
             "obstacles": angles(faced, held),
@@ -267,12 +273,18 @@ class Day:
         to come there: controllers are too soft, a move is too long, or the wind turns the panel over. Moves
         at night may take longer, such as those to the position of the next morning."""
         is_off = self.error_parts["motion, control and wind load"] > MAX_DEVIATION
-        return is_off & (self.seen.is_up | ~self.plan.is_moving(self.seconds))
+        return is_off & (self.sun.is_up | ~self.plan.is_moving(self.seconds))
 
     @property
     def stowed(self) -> Array:
         """(n,) True where the panel is stowed (lies flat) because of the wind."""
         return self.tracking.stows(self.wind, len(self.seconds))
+
+    @property
+    def is_level(self) -> Array:
+        """(n,) True where the panel is horizontal in the pose of the set-point."""
+        assert self.poses.direction is not None
+        return self.in_world(self.poses.direction)[:, 2] > 1.0 - MAX_OFF_VERTICAL
 
     @property
     def faces(self) -> Array:
@@ -359,7 +371,7 @@ def tracker_day(
     rotation = base.rotation_at_rest()
     scene = replace(scene, gravity=rotation.T @ scene.gravity)
     geared = Geared.of(scene)
-    aim = aim_of(geared.planned, axis, _by_day(sun, base.sun(sun, period * np.arange(len(sun.times)))))
+    aim = aim_of(geared.planned, axis, above_base(sun, base.sun(sun, period * np.arange(len(sun.times)))))
     wanted = tracking.normals(aim, wind)
     faced = face(geared.planned, axis, wanted, tracking)
     scene, loads, plan = following(geared, faced.poses, period, tracking)
@@ -388,7 +400,7 @@ def tracker_day(
     )
 
 
-def _by_day(sun: Sun, seen: Sun) -> Sun:
+def above_base(sun: Sun, seen: Sun) -> Sun:
     """Return the positions of the sun as seen from a base, above its plane by day and below it by night.
 
     By day a sun behind the plane of a base that leans is faced as nearly as the plane allows.

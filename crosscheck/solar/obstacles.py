@@ -180,7 +180,7 @@ class Obstacles:
         A face that turns about one axis only turns back towards the flat pose.
 
         Args:
-            wanted: (m, 3) directions that are blocked, east, north, up.
+            wanted: (m, 3) directions that are blocked, in the axes of the scene.
             reached: (m, 3) directions of the poses that come nearest to them.
         """
         if self.has_one_axis:
@@ -266,7 +266,7 @@ def _nearest(directions: Array, azimuths: Array, tilts: Array, paired: bool = Fa
     """Find the points of meridians that are nearest to directions (m, 3).
 
     Args:
-        directions: unit vectors, east, north, up.
+        directions: unit vectors in the axes of the scene.
         azimuths: (k,) rad, of the meridians.
         tilts: (k,) rad, at which the meridians end; they begin at the zenith.
         paired: True if each direction has its own meridian, k = m.
@@ -302,7 +302,7 @@ class Faced(NamedTuple):
     """Directions that a tracker faces instead of n wanted ones, some of which are blocked.
 
     Attributes:
-        directions: (n, 3) east, north, up.
+        directions: (n, 3) unit vectors in the axes of the scene.
         poses: poses of these directions.
         checks: of these poses.
         wanted_checks: of the poses that face the wanted directions.
@@ -331,7 +331,7 @@ def face(
     Args:
         scene: the tracker.
         axis: the panel's normal as an axis of a body.
-        wanted: (n, 3) east, north, up.
+        wanted: (n, 3) unit vectors in the axes of the scene.
         tracking: gives the clearance, the distance from singular configurations and the largest tilt.
         keys: actuated joint coordinates; those of the scene's controllers if None.
     """

@@ -35,6 +35,8 @@ from crosscheck.solar.tables import (
     largest_at,
     obstacles_table,
 )
+from newton_euler.model.euler_parameters import rotation
+from newton_euler.scalars import Array
 
 MAX_PRINTED_HOURS = 9
 """Largest number of rows of the table of a day in the terminal, so that the report has about 25 lines."""
@@ -136,9 +138,10 @@ def verdict(day: Day) -> str:
         most_tilt = f"{day.tracking.most_tilt:g} deg"
         text += f", and for {limited_hours:.1f} h points as close to it as a tilt of {most_tilt} allows"
     if day.wind is not None and np.isfinite(day.tracking.stow):
-        flat_hours = day.hours(day.sun.is_up & day.stowed)
+        flat = day.sun.is_up & day.stowed
+        flat_hours = day.hours(flat)
         text += f"; lies flat for {flat_hours:.1f} h of daylight, in winds from {day.tracking.stow:g} m/s on"
-        if day.wind_acts and not day.wind_up:
+        if day.wind_acts and not day.wind_up and flat.any() and day.is_level[flat].all():
             text += ", without a load: the wind is horizontal (--wind-up)"
     if day.off_set_points.any():
         text += f"; {deviation_text(day)}"
@@ -192,8 +195,8 @@ def assumptions(day: Day) -> Iterator[str]:
             ", ".join(f"{round(x, 3) + 0.0:g}" for x in each) for each in day.base.rotation_at_rest()
         )
         yield (
-            f"east, north and up are ({east}), ({north}) and ({up}) in the axes of the base, to which tilts, "
-            "normals and the zenith of a flat panel refer"
+            f"east, north and up are ({east}), ({north}) and ({up}) in the axes of the base, to which tilts "
+            "and the zenith of a flat panel refer"
         )
     else:
         yield "x is east, y north, z up"
@@ -224,19 +227,30 @@ def assumptions(day: Day) -> Iterator[str]:
 
 
 def zeros(day: Day) -> Iterator[str]:
-    """Yield sentences on the pose in which each set-point is 0, for homing: the initial pose of the scene."""
+    """Yield sentences on the pose in which each set-point is 0, for homing.
+
+    It is the pose in which the scene is described; of an MJCF file that of its keyframe. A center of mass on
+    the axis of a hinge does not determine its angle, so that each sentence has the normal of the face, too.
+    """
     mechanism = day.scene.mechanism
+    normal = _listed(rotation(mechanism.body(day.axis.body).quaternion) @ day.axis.axis, 5)
     for (name, (driven, coordinate)), (follower, _) in zip(day.keys.items(), day.geared.keys, strict=True):
         motions = mechanism.joint(driven).motions
         axis = [motion.axis for motion in motions if motion.kind != "ball"][coordinate]
-        direction = ", ".join(f"{round(x, 6) + 0.0:g}" for x in axis / np.linalg.norm(axis))
+        direction = _listed(axis / np.linalg.norm(axis), 6)
         body = mechanism.body(mechanism.joint(follower).second)
         x, y, z = (f"{1e3 * value:.1f}" for value in body.center_of_mass)
         way = "along" if day.is_slide(name) else "about"
         yield (
-            f"zero of {name} is the initial pose of the scene, with the center of mass of {body.name!r} at "
-            f"({x}, {y}, {z}) mm; positive {way} ({direction})"
+            f"zero of {name} is the pose in which the scene is described (of an MJCF file: that of its "
+            f"keyframe), with the normal of the face {normal} and the center of mass of {body.name!r} at "
+            f"({x}, {y}, {z}) mm; positive {way} {direction}"
         )
+
+
+def _listed(vector: Array, digits: int) -> str:
+    """Format a vector (3,) with rounded components."""
+    return "(" + ", ".join(f"{round(x, digits) + 0.0:g}" for x in vector) + ")"
 
 
 def survey_report(days: Sequence[Day]) -> Report:

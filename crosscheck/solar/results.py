@@ -128,10 +128,10 @@ def summary_of(day: Day) -> dict[str, Any]:
 def table_of_set_points(day: Day) -> bytes:
     """Return the set-points as CSV, one row each.
 
-    The columns are time and sun, wanted and faced normal, joint coordinates in m or rad, forces that hold the
-    previous set-point and largest forces on the way to the next one, clearance and distance from singular
-    configurations, pointing error, irradiance on the panel, and the wind speed if there is wind. Empty cells
-    are unknown: no force at rest while a move lasts, no clearance without shapes.
+    The columns are time and sun, wanted and faced normal (east, north, up), joint coordinates in m or rad,
+    forces that hold the previous set-point and largest forces on the way to the next one, clearance and
+    distance from singular configurations, pointing error, irradiance on the panel, and the wind speed if
+    there is wind. Empty cells are unknown: no force at rest while a move lasts, no clearance without shapes.
     """
     checks, causes = day.faced.checks, day.faced.wanted_checks.cause
     columns: dict[str, Sequence[str] | Array] = {
@@ -141,7 +141,8 @@ def table_of_set_points(day: Day) -> bytes:
         "sun_elevation_deg": np.degrees(day.sun.elevation),
     }
     for name, normals in (("wanted", day.wanted), ("faced", day.faced.directions)):
-        columns |= dict(zip((f"{name}_x", f"{name}_y", f"{name}_z"), normals.T, strict=True))
+        names = (f"{name}_x", f"{name}_y", f"{name}_z")
+        columns |= dict(zip(names, day.in_world(normals).T, strict=True))
     for name, values in day.set_points.items():
         columns[f"{name}_{'m' if day.is_slide(name) else 'rad'}"] = values
     for name, actuator in day.actuators.items():

@@ -16,7 +16,7 @@ from newton_euler.errors import is_finite_number
 from newton_euler.scalars import Array
 
 UP = np.array([0.0, 0.0, 1.0])
-"""Normal of a panel that lies flat: east, north, up."""
+"""Normal of a panel that lies flat, in the axes of the base."""
 
 MIN_RATE, MAX_RATE = 1e-5, 1e3
 """Allowed range of speeds and accelerations of set-points, SI. At the least speed, a move of 0.1 m takes
@@ -79,10 +79,10 @@ class Tracking:
                 )
 
     def normals(self, sun: Sun, wind: Array | None = None, held: bool = True) -> Array:
-        """Compute the wanted directions (n, 3) of the panel's normal: east, north, up.
+        """Compute the wanted directions (n, 3) of the panel's normal, in the axes of the base.
 
         Args:
-            sun: n positions of the sun over one day, in the order of time.
+            sun: n positions of the sun in these axes over one day, in the order of time.
             wind: (n,) m/s, wind speed; None for calm.
             held: True to keep a direction until the wanted one has left the dead band.
 
@@ -105,8 +105,9 @@ class Tracking:
         return self.with_deadband(wanted, stowed) if held else wanted
 
     def towards(self, sun: Sun) -> Array:
-        """Compute the directions (n, 3), east, north, up, as close to the sun as tilt and shadow allow.
+        """Compute the directions (n, 3) as close to the sun (n positions) as tilt and shadow allow.
 
+        Both are in the axes of the base.
         The rules of night, wind and dead band are not applied.
         """
         tilt = np.minimum(self._without_shadow(sun.elevation), np.radians(self.most_tilt))
