@@ -400,8 +400,9 @@ def faults_command(
 def report_command(folder: Path) -> int:
     """Write the results of other commands in DIR as one HTML page, DIR/report.html.
 
-    DIR is the output folder of run, run --all, regress, faults, stress, bench, sweep, loads, modes,
-    controllers, workspace, sun, year or identify, or a folder of such folders, for example `output`.
+    DIR is the output folder of run, run --all, regress, faults, stress, bench, sweep, diff, loads, drives,
+    modes, controllers, tune, workspace, sun, year, identify or importers, or a folder of such folders, for
+    example `output`.
     """
     from crosscheck.report.page import write_report
     from crosscheck.sweeps.store import check_finished

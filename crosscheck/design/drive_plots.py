@@ -42,7 +42,8 @@ def drive_figure(found: DriveResults) -> Figure:
     The left one has the torque of the motor over time, in percent of its peak torque. The right one has the
     magnitudes of force and speed of the actuator; both axes are logarithmic. A drive that moves a load
     steadily can reach each point below and to the left of its lines: the rated speed, and the force of its
-    peak torque. A motion with more than `MAX_DRAWN_TIMES` times has envelopes in place of lines.
+    peak torque. A motion with more than `MAX_DRAWN_TIMES` times has envelopes in place of lines, with steps
+    between bins, so that the largest speed and torque are on them.
     """
     from matplotlib.figure import Figure
     from matplotlib.ticker import NullFormatter
@@ -57,8 +58,10 @@ def drive_figure(found: DriveResults) -> Figure:
         least_speed, least_force = (LEAST_SHOWN * float(values.max()) or 1e-9 for values in magnitudes)
         is_long = len(motion.time) > MAX_DRAWN_TIMES
         if is_long:
-            edges = np.geomspace(least_speed, max(magnitudes[0].max(), least_speed), SPEED_BINS + 1)
-            _draw_envelope(force_plot, edges, *magnitudes, {"color": "black", "label": "motion, envelope"})
+            speed = np.maximum(magnitudes[0], least_speed)  # slower than shown, such as at rest: first bin
+            edges = np.geomspace(least_speed, speed.max(), SPEED_BINS + 1)
+            drawn = {"color": "black", "label": "motion, envelope"}
+            _draw_envelope(force_plot, edges, speed, magnitudes[1], drawn)
         else:
             force_plot.plot(*magnitudes, color="black", linewidth=1.0, label="motion")
         for sized, dash in zip(best[motion.name], DASHES, strict=False):
@@ -96,30 +99,31 @@ def _draw_torque(ax: Axes, drive: Drive, motion: ActuatorMotion, style: dict[str
 
 
 def envelope(edges: Array, x: Array, values: Array) -> tuple[Array, Array, Array]:
-    """Find the smallest and the largest value in each bin of x.
+    """Find the smallest and the largest value in each bin of x, for lines with steps.
 
     Args:
         edges: (b + 1,) borders of the bins, ascending.
-        x: (n,) places of the values; those outside of the bins are left out.
+        x: (n,) places of the values, from the first border to the last one.
         values: (n,).
 
     Returns:
-        Middles (m,) of the bins with values, smallest and largest values (m,) in them.
+        Both borders of each of the m bins with values, one bin after the other (2 m,), and the smallest and
+        largest values of the bins there (2 m,).
     """
-    inside = (x >= edges[0]) & (x <= edges[-1])
-    bins = np.minimum(np.searchsorted(edges, x[inside], side="right") - 1, len(edges) - 2)
+    bins = np.minimum(np.searchsorted(edges, x, side="right") - 1, len(edges) - 2)
     low, high = np.full(len(edges) - 1, np.inf), np.full(len(edges) - 1, -np.inf)
-    np.minimum.at(low, bins, values[inside])
-    np.maximum.at(high, bins, values[inside])
+    np.minimum.at(low, bins, values)
+    np.maximum.at(high, bins, values)
     filled = low <= high
-    return 0.5 * (edges[:-1] + edges[1:])[filled], low[filled], high[filled]
+    borders = np.stack([edges[:-1], edges[1:]], axis=1)[filled].ravel()
+    return borders, np.repeat(low[filled], 2), np.repeat(high[filled], 2)
 
 
 def _draw_envelope(ax: Axes, edges: Array, x: Array, values: Array, style: dict[str, Any]) -> None:
     """Draw the smallest and the largest value in each bin of x; one of both lines has the label."""
-    middles, low, high = envelope(edges, x, values)
-    ax.plot(middles, high, **style)
-    ax.plot(middles, low, **(style | {"label": None}))
+    borders, low, high = envelope(edges, x, values)
+    ax.plot(borders, high, **style)
+    ax.plot(borders, low, **(style | {"label": None}))
 
 
 def _draw_limits(

@@ -177,7 +177,7 @@ def write_report(folder: Path, progress: Progress) -> Path:
         raise CrosscheckError(
             f"nothing of crosscheck's in {folder}; needed, there or at most two folders below: "
             f"{', '.join(RESULTS)}, as run, regress, faults, stress, bench, sweep, loads, drives, modes, "
-            "controllers, workspace, sun, year, identify, tune and diff write them"
+            "controllers, workspace, sun, year, identify, tune, diff and importers write them"
         )
     check_writable(path)
 

@@ -73,29 +73,34 @@ def test_a_motion_and_the_example(capsys, monkeypatch, tmp_path):
 
 
 def test_envelopes_of_long_motions():
-    """Smallest and largest value of three bins, and a value beyond them; then bins of which one is empty."""
-    x = np.array([0.0, 0.5, 1.0, 2.5, 3.0, 3.5])
-    middles, low, high = envelope(np.arange(4.0), x, np.array([4.0, -2.0, 7.0, 1.0, 5.0, 9.0]))
-    assert middles.tolist() == [0.5, 1.5, 2.5]
-    assert low.tolist() == [-2.0, 7.0, 1.0]
-    assert high.tolist() == [4.0, 7.0, 5.0]
-    middles, *_ = envelope(np.arange(4.0), x[[0, 3]], np.ones(2))
-    assert middles.tolist() == [0.5, 2.5]
+    """Smallest and largest value of three bins, at both of their borders; then bins of which one is empty."""
+    x = np.array([0.0, 0.5, 1.0, 2.5, 3.0])
+    borders, low, high = envelope(np.arange(4.0), x, np.array([4.0, -2.0, 7.0, 1.0, 5.0]))
+    assert borders.tolist() == [0.0, 1.0, 1.0, 2.0, 2.0, 3.0]
+    assert low.tolist() == [-2.0, -2.0, 7.0, 7.0, 1.0, 1.0]
+    assert high.tolist() == [4.0, 4.0, 7.0, 7.0, 5.0, 5.0]
+    borders, *_ = envelope(np.arange(4.0), x[[0, 3]], np.ones(2))
+    assert borders.tolist() == [0.0, 1.0, 2.0, 3.0]
 
 
 def test_a_day_of_moves_is_drawn_as_an_envelope():
-    """A move every three seconds: 4001 times, of which each line of the torque has one point for each bin."""
+    """A move every three seconds, 4001 times: each line of the torque has two points for each bin."""
     time = np.linspace(0.0, 4000.0, 4001)
     speed = 1e-5 * np.sin(time) ** 2
     position = 1e-5 * (0.5 * time - 0.25 * np.sin(2.0 * time))
-    motion = ActuatorMotion("lift", True, time, np.full(4001, 10.0), position, speed)
+    force = np.where(speed == 0.0, 12.0, 10.0)
+    motion = ActuatorMotion("lift", True, time, force, position, speed)
     drives = read_catalog(str(CATALOG))
     sized = {(drive.name, "lift"): size(drive, motion) for drive in drives}
     figure = drive_figure(DriveResults("day", "catalog", (motion,), drives, sized, Requirements()))
     torque_plot, force_plot = figure.axes
-    assert max(len(line.get_xdata()) for line in torque_plot.lines) == BINS
+    assert max(len(line.get_xdata()) for line in torque_plot.lines) == 2 * BINS
     assert len(torque_plot.lines) % 2 == 0
-    assert len(force_plot.lines[0].get_xdata()) <= SPEED_BINS
+    drawn = force_plot.lines[0]
+    assert len(drawn.get_xdata()) <= 2 * SPEED_BINS
+    # the largest speed and force are on the lines; the force is largest at rest
+    assert drawn.get_xdata().max() == pytest.approx(speed.max(), rel=1e-12)
+    assert drawn.get_ydata().max() == 12.0
 
 
 def test_drives_of_a_scene(capsys, tmp_path):
