@@ -35,7 +35,7 @@ NOT_UNIQUE = "stiffness decides how these joints share loads: the tables show on
 """Note on joints whose reactions redundant constraints leave undetermined."""
 
 EXCITE = "; --set excitation=on moves joints of model files and drives their actuators"
-"""Advice to the user if nothing moves."""
+"""Advice to the user if nothing moves in a model file."""
 
 AT_REST = (
     "at rest: actuators hold the initial pose; control laws, velocities and accelerations do not act, and "
@@ -66,6 +66,7 @@ class CaseNotes(NamedTuple):
         held_winds: winds that vary in time and have a constant speed at rest.
         winds: flow on the plates of wind loads.
         acting: elements of the model file that would have acted and are not simulated.
+        from_model_file: True for a model file, which has the option `excitation`.
     """
 
     options: Mapping[str, Mapping[str, str | float]]
@@ -74,6 +75,7 @@ class CaseNotes(NamedTuple):
     held_winds: Mapping[str, Sequence[HeldWind]]
     winds: Mapping[str, Sequence[WindRange]]
     acting: Mapping[str, Sequence[ImportedElement]]
+    from_model_file: bool
 
 
 def load_report(
@@ -122,7 +124,8 @@ def load_report(
     # Notes
     if notes.motionless:
         where = f"cases {', '.join(notes.motionless)}" if named else "the run"
-        parts.append(Lines("", [f"nothing moves in {where}: these are loads at rest{EXCITE}"]))
+        advice = EXCITE if notes.from_model_file else ""
+        parts.append(Lines("", [f"nothing moves in {where}: these are loads at rest{advice}"]))
     parts.extend(Lines("", [line, NOT_UNIQUE]) for line in undetermined_lines(scene))
     judged = Cell(text="", verdict="doubtful" if notes.acting else "")  # the color of the verdict
     return Report(title, verdict, judged, parts, summary=parts)

@@ -117,6 +117,7 @@ def loads(
             for name, case in cases.items()
         },
         acting=acting,
+        from_model_file=any(case.import_report is not None for case in cases.values()),
     )
     report = load_report(first_scene, envelope, envelopes, at_rest, notes)
     progress("plot and recording")

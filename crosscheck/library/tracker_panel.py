@@ -13,8 +13,9 @@ import numpy as np
 from crosscheck.library.options import Between
 from crosscheck.library.tracker import MASSES, PANEL, solar_cells
 from newton_euler.model.geometry import Box
-from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
+from newton_euler.scalars import Array
 
 Side = Annotated[float, Between(0.02, 1.0, "m")]
 """Type of the options `panel_width` and `panel_height`."""
@@ -29,8 +30,11 @@ WIDTH, HEIGHT, MASS = 2.0 * PANEL[0], 2.0 * PANEL[1], float(MASSES[6])
 def with_panel(scene: Scene, width: float, height: float, mass: float) -> Scene:
     """Return a scene of the tracker with a panel of another size and mass.
 
-    The panel becomes a uniform plate with its center of mass where it was. The paper's panel keeps the
-    inertia of the paper, which is within 5 % that of such a plate.
+    The center of mass stays where it was. A panel of another mass alone has the paper's inertia, times the
+    ratio of the masses. The paper's inertia is not that of a uniform plate: a moment in the plane is 35 %
+    more, the other 17 % less, and there is a product of inertia. A larger panel has the inertia of a uniform
+    plate plus this difference, which does not grow with the sides. On a smaller panel the difference shrinks
+    with the sides, so that the inertia is possible for all sizes.
 
     Args:
         scene: the tracker.
@@ -43,14 +47,30 @@ def with_panel(scene: Scene, width: float, height: float, mass: float) -> Scene:
     plate, *arms = panel.shapes
     assert isinstance(plate, Box)
     half_sizes = np.array([0.5 * width, 0.5 * height, plate.half_sizes[2]])
-    squares = half_sizes**2
     other = replace(
         panel,
         mass=mass,
-        # about an axis, a box has the mass times the squares of both half sides across the axis, over 3
-        inertia=np.diag(mass / 3.0 * (squares.sum() - squares)),
+        inertia=_inertia(panel, plate, half_sizes, mass),
         shapes=(replace(plate, half_sizes=half_sizes), *arms),
         meshes=(solar_cells(panel.center_of_mass, panel.quaternion, (half_sizes[0], half_sizes[1])),),
     )
     bodies = [other if body is panel else body for body in scene.mechanism.bodies]
     return replace(scene, mechanism=Mechanism(bodies, scene.mechanism.joints))
+
+
+def _inertia(panel: Body, plate: Box, half_sizes: Array, mass: float) -> Array:
+    """Compute the inertia (3, 3), kg m^2, of a panel of another size and mass about its center of mass.
+
+    Args:
+        panel: the paper's panel.
+        plate: its shape.
+        half_sizes: (3,) half sides of the other panel, m.
+        mass: mass of the other panel, kg.
+    """
+    # second moments of mass, int r r^T dm: those of a box are the mass times the squares of the half sides,
+    # over 3, and every positive definite matrix is possible
+    paper = 0.5 * np.trace(panel.inertia) * np.eye(3) - panel.inertia
+    difference = paper / panel.mass - np.diag(plate.half_sizes**2 / 3.0)
+    shrink = np.diag(np.minimum(half_sizes / plate.half_sizes, 1.0))
+    moments = mass * (np.diag(half_sizes**2 / 3.0) + shrink @ difference @ shrink)
+    return np.trace(moments) * np.eye(3) - moments

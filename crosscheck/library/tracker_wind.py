@@ -63,21 +63,22 @@ SINE_COUNT = 16
 UPWARD = [0.0, 0.0, 1.0]
 """Direction of the panel's normal in stow: the panel is flat."""
 
-WORST_TILTS, WORST_AZIMUTHS = 4, 24
-"""Number of tilts from flat to the largest one, and of azimuths, among which the worst pose is searched."""
+WORST_TILTS, WORST_AZIMUTHS = 3, 24
+"""Number of tilts up to the largest one, and of azimuths, among which the worst pose is searched. The flat
+pose is searched, too."""
 
 LOAD_CASES = {
-    "operating": {"pose": "worst", "wind": "steady", "speed": "14", "wind_from": "0"},
-    "gust": {"pose": "worst", "wind": "gust", "speed": "14", "wind_from": "0"},
-    "stow_up": {"pose": "stow", "wind": "steady", "speed": "40", "wind_from": "285", "vertical": "10"},
-    "stow_down": {"pose": "stow", "wind": "steady", "speed": "40", "wind_from": "285", "vertical": "-10"},
+    "operating": {"pose": "worst", "wind": "steady", "speed": "14", "wind_from": "15"},
+    "gust": {"pose": "worst", "wind": "gust", "speed": "14", "wind_from": "15"},
+    "stow_up": {"pose": "stow", "wind": "steady", "speed": "40", "wind_from": "180", "vertical": "10"},
+    "stow_down": {"pose": "stow", "wind": "steady", "speed": "40", "wind_from": "345", "vertical": "-10"},
 }
 """Default load cases of `crosscheck loads tracker_wind`: operating limit, gust, and survival in stow.
 
 The speeds are examples: 14 m/s at which the tracker would be stowed, and a gust of 40 m/s that it has to
 survive in stow, with a vertical gust in both directions. 10 m/s is three standard deviations of the vertical
-turbulence at 40 m/s for an intensity of 17 % along the wind. Of all directions in steps of 15 degrees, wind
-from the north has the largest force of an actuator over all poses, and wind from 285 degrees in stow."""
+turbulence at 40 m/s for an intensity of 17 % along the wind. The wind of each case comes from the direction
+in which an actuator has the largest force at rest, of all directions in steps of 15 degrees."""
 
 
 def tracker_wind(
@@ -159,7 +160,7 @@ def _held(scene: Scene, pose: str, most_tilt: float) -> Scene:
     if pose != "tilted":
         keys, row = [law.key for law in scene.control], 0
         normal = Axis("panel_7", np.array([0.0, 0.0, 1.0]))
-        towards = np.array([UPWARD]) if pose == "stow" else _directions(most_tilt)
+        towards = np.array([UPWARD]) if pose == "stow" else tilted_directions(most_tilt)
         poses = solve_poses(scene, axis=normal, towards=towards, measure=keys)
         if pose == "worst":
             windy, _ = wind_at_peak(scene)
@@ -174,12 +175,13 @@ def _held(scene: Scene, pose: str, most_tilt: float) -> Scene:
     return replace(scene, description=description, control=control, initial_state=start)
 
 
-def _directions(most_tilt: float) -> Array:
-    """Return directions (n, 3) of the panel's normal, east, north, up, up to a tilt in degrees."""
-    tilts = np.radians(np.linspace(0.0, most_tilt, WORST_TILTS))
+def tilted_directions(most_tilt: float) -> Array:
+    """Return directions (n, 3) of the panel's normal, east, north, up, up to a tilt in degrees; up first."""
+    tilts = np.radians(most_tilt * np.arange(1, WORST_TILTS + 1) / WORST_TILTS)
     azimuths = np.radians(np.arange(WORST_AZIMUTHS) * 360.0 / WORST_AZIMUTHS)
     tilt, azimuth = (each.ravel() for each in np.meshgrid(tilts, azimuths))
-    return np.stack([np.sin(tilt) * np.sin(azimuth), np.sin(tilt) * np.cos(azimuth), np.cos(tilt)], axis=1)
+    tilted = [np.sin(tilt) * np.sin(azimuth), np.sin(tilt) * np.cos(azimuth), np.cos(tilt)]
+    return np.vstack([UPWARD, np.stack(tilted, axis=1)])
 
 
 def up_and_down(stroke: float, period: float) -> Sine:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from crosscheck.design.load_report import negligible_force
 from crosscheck.design.wind_validity import wind_ranges
 from crosscheck.library import LOAD_CASES, load, load_sun_tracker
 from crosscheck.library.tracker import PANEL
+from crosscheck.library.tracker_wind import tilted_directions
 from newton_euler import (
     Axis,
     Body,
@@ -28,6 +30,7 @@ from newton_euler import (
     solve_poses,
     statics,
 )
+from newton_euler.analysis.loads.rest import wind_at_peak
 
 EXAMPLE = str(Path(__file__).parents[2] / "examples" / "four_bar.yaml")
 
@@ -131,16 +134,16 @@ def test_the_default_cases_load_a_stowed_panel_from_both_sides(capsys, tmp_path)
         }
         names = ("slide_12", "slide_13")
         vertical[case] = sum(found[name, "actuator force"] for name in names) + found["hinge_14", "force z"]
-    (flow,) = content["winds"]["stow_down"]
-    assert flow["most_attack"] == pytest.approx(np.degrees(np.arctan2(10.0, 40.0)), rel=1e-6)
-    # normal force by the formulas of `WindLoad`, on a panel with sides of twice `PANEL`
-    coefficient, _ = blended(flow["most_attack"], flow["most_ratio"], max(PANEL) / min(PANEL))
-    force = 0.5 * 1.225 * (40.0**2 + 10.0**2) * 4.0 * PANEL[0] * PANEL[1] * coefficient
-    # the square of 0.01 m/s is added to that of 10 m/s across the panel, so that the load is smooth at 0
-    assert vertical["stow_down"] - vertical["stow_up"] == pytest.approx(2.0 * force, rel=1e-6)
     moving = sum(body.mass for body in load("tracker").mechanism.bodies[1:])
-    # plates of the sliders carry horizontal forces only
-    assert vertical["stow_down"] + vertical["stow_up"] == pytest.approx(2.0 * 9.81 * moving, rel=1e-9)
+    for case, sign in {"stow_up": -1.0, "stow_down": 1.0}.items():
+        (flow,) = content["winds"][case]
+        assert flow["most_attack"] == pytest.approx(np.degrees(np.arctan2(10.0, 40.0)), rel=1e-6)
+        # normal force by the formulas of `WindLoad`, on a panel with sides of twice `PANEL`
+        coefficient, _ = blended(flow["most_attack"], flow["most_ratio"], max(PANEL) / min(PANEL))
+        force = 0.5 * 1.225 * (40.0**2 + 10.0**2) * 4.0 * PANEL[0] * PANEL[1] * coefficient
+        # plates of the sliders carry horizontal forces only; the square of 0.01 m/s is added to that of
+        # 10 m/s across the panel, so that the load is smooth at 0
+        assert vertical[case] == pytest.approx(9.81 * moving + sign * force, rel=1e-6)
 
 
 def plate_over_ground(width: float, height: float) -> Scene:
@@ -194,6 +197,16 @@ def test_round_off_is_no_load_and_rest_is_told(capsys, tmp_path):
     assert "nothing moves in the run: these are loads at rest; --set excitation=on moves" in " ".join(
         out.split()
     )
+
+
+def test_advice_on_excitation_is_for_model_files_alone(capsys, tmp_path):
+    """Scenes of the library and scene files do not have the option `excitation`."""
+    status, out, _ = run(
+        capsys, "loads", "tracker_wind", "--case", "held:pose=stow,wind=steady,speed=0", "--output", tmp_path
+    )
+    assert status == 0
+    assert "nothing moves in cases held: these are loads at rest" in out
+    assert "--set excitation" not in out
 
 
 def test_a_file_at_rest_has_one_case(capsys, tmp_path):
@@ -299,6 +312,97 @@ def test_the_worst_pose_has_the_largest_actuator_force_of_all_poses():
     assert found > 1.1 * np.abs(statics(scene).actuator_force).max()
 
 
+@pytest.mark.slow  # 24 directions, each with compiled equations
+def test_wind_of_the_default_cases_comes_from_the_worst_direction():
+    """Against statics of all directions in steps of 15 degrees, in all poses up to the largest tilt.
+
+    The poses are those of `pose=worst`: flat, and tilted by 10, 20 and 30 degrees.
+    """
+    tilt, azimuth = (
+        each.ravel() for each in np.meshgrid(np.radians([0.0, 10.0, 20.0, 30.0]), np.arange(24) * np.pi / 12)
+    )
+    towards = np.stack([np.sin(tilt) * np.sin(azimuth), np.sin(tilt) * np.cos(azimuth), np.cos(tilt)], axis=1)
+    towards = np.unique(towards.round(12), axis=0)
+    assert len(towards) == 73  # flat once
+    axis = Axis("panel_7", [0.0, 0.0, 1.0])
+    poses = {
+        "worst": solve_poses(load("tracker_wind"), axis=axis, towards=towards),
+        "stow": solve_poses(load("tracker_wind"), axis=axis, towards=[[0.0, 0.0, 1.0]]),
+    }
+    for case, options in LOAD_CASES["tracker_wind"].items():
+        # the gust at rest is a steady wind with its largest speed
+        given = {**options, "pose": "tilted"}
+        at_peak, _ = wind_at_peak(load("tracker_wind", **given))
+        (wind,) = at_peak.forces
+        largest = {}
+        for degrees in range(0, 360, 15):
+            angle = np.radians(degrees)
+            load_of_direction = replace(wind, direction=[-np.sin(angle), -np.cos(angle), 0.0])
+            scene = replace(at_peak, forces=(load_of_direction,))
+            largest[degrees] = np.abs(statics(scene, poses[options["pose"]]).actuator_force).max()
+        assert max(largest, key=largest.get) == float(options["wind_from"]), case
+
+
+def test_the_poses_that_are_searched_differ():
+    """Flat once, and three tilts at 24 azimuths."""
+    directions = tilted_directions(30.0)
+    assert len(np.unique(directions.round(9), axis=0)) == len(directions) == 73
+    tilts = np.degrees(np.arccos(directions[:, 2]))
+    np.testing.assert_allclose(np.unique(tilts.round(6)), [0.0, 10.0, 20.0, 30.0])
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0)
+
+
+def panel_inertia(**options: float) -> np.ndarray:
+    return (
+        load_sun_tracker({key: str(value) for key, value in options.items()})
+        .mechanism.body("panel_7")
+        .inertia
+    )
+
+
+PAPER = np.array([[1.209e-3, 0.0, 1e-4], [0.0, 1.209e-3, 0.0], [1e-4, 0.0, 2.39e-3]])
+"""kg m^2, the paper's inertia of the panel of 0.14 m by 0.11 m and 0.8905 kg."""
+
+
+def plate_inertia(width: float, height: float, mass: float) -> np.ndarray:
+    """A box 4 mm thick."""
+    squares = np.array([width, height, 0.004]) ** 2
+    return np.diag(mass / 12.0 * (squares.sum() - squares))
+
+
+def test_the_inertia_of_the_panel_is_continuous_in_its_size_and_mass():
+    np.testing.assert_allclose(panel_inertia(), PAPER, rtol=1e-12)
+    np.testing.assert_allclose(panel_inertia(panel_mass=1.781), 2.0 * PAPER, rtol=1e-12)
+    for sign in (1.0, -1.0):
+        near = {"panel_width": 0.14 + sign * 1e-7, "panel_height": 0.11 - sign * 1e-7, "panel_mass": 0.8905}
+        np.testing.assert_allclose(panel_inertia(**near), PAPER, rtol=1e-5, atol=1e-9)
+
+
+def test_the_inertia_of_a_large_panel_is_that_of_a_plate():
+    plate = plate_inertia(1.0, 0.9, 8.905)
+    np.testing.assert_allclose(
+        panel_inertia(panel_width=1.0, panel_height=0.9, panel_mass=8.905),
+        plate + 10.0 * (PAPER - plate_inertia(0.14, 0.11, 0.8905)),
+        rtol=1e-12,
+    )
+    assert (
+        np.abs(
+            panel_inertia(panel_width=1.0, panel_height=1.0, panel_mass=8.905) / 8.905
+            - plate_inertia(1.0, 1.0, 1.0)
+        ).max()
+        < 0.005 * plate_inertia(1.0, 1.0, 1.0).max()
+    )
+
+
+@pytest.mark.parametrize("width", [0.02, 0.1, 0.14, 0.2, 1.0])
+@pytest.mark.parametrize("height", [0.02, 0.08, 0.11, 0.2, 1.0])
+def test_the_inertia_of_a_panel_of_any_size_is_possible(width, height):
+    """No principal moment is more than the sum of both others."""
+    moments = np.linalg.eigvalsh(panel_inertia(panel_width=width, panel_height=height))
+    assert moments[0] > 0.0
+    assert moments[0] + moments[1] > moments[2]
+
+
 def test_a_panel_of_another_size_has_its_weight_its_inertia_and_its_wind():
     """A square plate of 0.2 m and 2 kg, by the formulas of a box 4 mm thick and of the wind."""
     scene = load(
@@ -312,8 +416,9 @@ def test_a_panel_of_another_size_has_its_weight_its_inertia_and_its_wind():
         vertical=-10,
     )
     plate = scene.mechanism.body("panel_7")
-    across, normal = 2.0 / 12.0 * (0.2**2 + 0.004**2), 2.0 / 12.0 * 2.0 * 0.2**2
-    np.testing.assert_allclose(plate.inertia, np.diag([across, across, normal]), rtol=1e-12)
+    difference = PAPER - plate_inertia(0.14, 0.11, 0.8905)
+    expected = plate_inertia(0.2, 0.2, 2.0) + 2.0 / 0.8905 * difference
+    np.testing.assert_allclose(plate.inertia, expected, rtol=1e-12)
     held = statics(scene)
     up = held.actuator_force.sum() + held.reaction_force[held.joint_names.index("hinge_14"), 2]
     weight = 9.81 * (sum(body.mass for body in load("tracker").mechanism.bodies[1:-1]) + 2.0)

@@ -38,7 +38,7 @@ def crossing_signs(before: Configurations, after: Configurations) -> Array:
     chain = before.chain
     signs = np.ones((len(before), 2))
     # bases of the tangent spaces before and after may have different orientations
-    orientation = np.linalg.det(after.tangent @ np.swapaxes(before.tangent, 1, 2))
+    projected = np.swapaxes(_projected_tangent(before, after), 1, 2)
     # Jacobians before and after: of the goals, and of all chosen coordinates (`keys`) if these are not the
     # same; the first `goal_count` of the chosen coordinates have goals
     goal_before, goal_after = (each.goal_errors(chain.goal_at(each))[1] for each in (before, after))
@@ -48,8 +48,8 @@ def crossing_signs(before: Configurations, after: Configurations) -> Array:
     for column, (jacobian_before, jacobian_after) in enumerate(pairs):
         if jacobian_before.shape[1] == chain.freedoms:
             start = np.linalg.det(jacobian_before @ np.swapaxes(before.tangent, 1, 2))
-            end = np.linalg.det(jacobian_after @ np.swapaxes(after.tangent, 1, 2))
-            crossed = (start * orientation * end < 0.0) & (np.abs(start) > RANK_TOLERANCE)
+            end = np.linalg.det(jacobian_after @ projected)
+            crossed = (start * end < 0.0) & (np.abs(start) > RANK_TOLERANCE)
             signs[crossed, column] = -1.0
     return signs
 
@@ -96,11 +96,24 @@ def continues(before: Configurations, after: Configurations, step: Array) -> Arr
     """
     if not before.phi.shape[1]:  # without loops there is a single branch
         return np.ones(len(before), dtype=bool)
-    cosines = np.linalg.svd(after.tangent @ np.swapaxes(before.tangent, 1, 2), compute_uv=False)
+    cosines = np.linalg.svd(_projected_tangent(before, after), compute_uv=False)
     turns_little = np.all(cosines > MIN_COSINE, axis=1)
     unexplained = distances(before.step_by(step), after)
     is_explained = unexplained <= MAX_DEVIATION * distances(before, after) + DEVIATION_ROUND_OFF
     return np.asarray(turns_little & is_explained)
+
+
+def _projected_tangent(before: Configurations, after: Configurations) -> Array:
+    """Project basis vectors of the tangent spaces of n configurations on the velocities that others allow.
+
+    Where loops lose rank, more than f velocities leave the loops closed. The basis
+    `Configurations.tangent` is then any f of them.
+
+    Returns:
+        (n, f, nv) the projected vectors. They have the orientation of `before.tangent`; their singular values
+        are the cosines of the angles between both spaces.
+    """
+    return np.asarray(before.tangent - before.tangent @ after.loop_inverse @ after.loops)
 
 
 def distances(configs: Configurations, others: Configurations) -> Array:

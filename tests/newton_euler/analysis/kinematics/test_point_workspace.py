@@ -125,7 +125,14 @@ def test_a_goal_in_which_windows_lie_flat_does_not_hide_those_beyond():
     angles = np.linspace(-np.pi, np.pi, 9)  # through both flat poses
     found = workspace(scene, {"pivot_0": angles})
     is_flat = np.abs(np.abs(angles) - flat) < 1e-9
-    assert found.reachable[~is_flat].all()
-    beyond = np.full(len(angles), False)
-    beyond[found.reachable] = found.poses.beyond
-    np.testing.assert_array_equal(beyond[~is_flat], np.abs(angles[~is_flat]) > flat)
+    assert found.reachable.all()
+    np.testing.assert_array_equal(found.poses.beyond[~is_flat], np.abs(angles[~is_flat]) > flat)
+
+
+@pytest.mark.parametrize("flat", [-0.5 * np.pi, 0.5 * np.pi])
+def test_poses_in_which_windows_lie_flat_are_reachable_from_both_sides(flat):
+    """More velocities leave the loops closed there; those of the path must be among them."""
+    for start in (0.0, 0.9 * flat):
+        poses = solve_poses(load("four_bar", N=1), {"pivot_0": [start, flat]})
+        assert poses.reached.all()
+        np.testing.assert_allclose(poses.coordinates["pivot_0"], [start, flat], atol=1e-9)
