@@ -12,13 +12,13 @@ from crosscheck.cli.shared import (
     AGREE,
     cli,
     is_verbose,
-    load_with_warnings,
     refuse_excitation,
     say,
     scene_options,
     setting_options,
     verbose_option,
 )
+from crosscheck.cli.trackers import load_scene_or_tracker
 from crosscheck.report.render import printable
 from crosscheck.support.errors import CrosscheckError
 
@@ -50,20 +50,20 @@ def list_command(scene: str | None, settings: tuple[str, ...]) -> int:
     fits them.
     """
     if scene is not None:
-        for line in _parameter_lines(load_with_warnings(scene, scene_options(settings))):
+        for line in _parameter_lines(load_scene_or_tracker(scene, scene_options(settings))):
             click.echo(printable(line))
         return AGREE  # exit status 0
     if settings:
         raise CrosscheckError("--set has no effect here: it is of a scene")
     from crosscheck.engines.registry import names
-    from crosscheck.library import SCENES
+    from crosscheck.library import SCENES, SUN_TRACKER
     from crosscheck.library.model_files import MJCF_OPTIONS, URDF_OPTIONS
     from crosscheck.library.options import options_of
     from crosscheck.library.tracker_sun import sun_tracker
     from newton_euler.errors import MissingPackageError
     from newton_euler.limits import LIMITS
 
-    for name, make in (*SCENES.items(), ("tracker_sun", sun_tracker)):
+    for name, make in (*SCENES.items(), (SUN_TRACKER, sun_tracker)):
         try:
             say(f"{name}: {make().description}")
         except MissingPackageError as error:

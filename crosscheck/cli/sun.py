@@ -19,7 +19,6 @@ from crosscheck.cli.shared import (
     verbose_option,
 )
 from crosscheck.cli.trackers import (
-    LIBRARY_TRACKER,
     largest_tilt,
     load_tracker,
     tracker_options,
@@ -118,6 +117,7 @@ def sun_command(
     with x to the east, y to the north and z up; without it, the tracker of the library. A mechanism that
     cannot face the sun comes as near as it can. With several latitudes or dates, a table compares the days.
     """
+    from crosscheck.library import SUN_TRACKER
     from crosscheck.solar.base import Base, base_of
     from crosscheck.solar.day import tracker_day
     from crosscheck.solar.place import SUN, Place, seconds_of_day
@@ -130,6 +130,7 @@ def sun_command(
     from crosscheck.support.time_limits import with_progress
     from newton_euler.optional_packages import optional_package
 
+    source = scene or SUN_TRACKER
     # the rules of tracking and the wind
     for name, value in (("--stow", stow), ("--wind-from", wind_from), ("--wind-up", wind_up)):
         if value is not None and wind is None:
@@ -138,7 +139,7 @@ def sun_command(
     longitude, altitude = numbers.pop("longitude"), numbers.pop("altitude")
     tracking = Tracking(
         stow=float("inf") if stow is None else stow,  # without --stow, no wind is too fast
-        most_tilt=largest_tilt(scene, most_tilt),
+        most_tilt=largest_tilt(source, most_tilt),
         **numbers,  # the other options are rules of tracking
     )
     check_period(period)
@@ -152,12 +153,11 @@ def sun_command(
         raise CrosscheckError("--reach is for one place and one date")
     # raises if pvlib, one of the optional dependencies `SUN`, is missing, before folders are created
     optional_package("pvlib", SUN)
-    source = scene or LIBRARY_TRACKER
     files: tuple[str, ...] = SURVEY_FILES if len(pairs) > 1 else DAY_FILES
     files += REACH_FILES if with_reach else ()
     sources = [source, *([wind] if wind and Path(wind).is_file() else [])]
     paths = result_paths(output, "output/sun", kind="solar day", names=files, sources=sources)
-    loaded, normal = load_tracker(scene, options, axis)
+    loaded, normal = load_tracker(source, options, axis)
     days = []
     with progress_shown() as progress:
         for place, date in with_progress(pairs, progress, "day"):

@@ -14,9 +14,6 @@ if TYPE_CHECKING:
     from newton_euler import Axis
     from newton_euler.model.scene import Scene
 
-LIBRARY_TRACKER = "tracker_sun"
-"""Name of the default scene, the tracker of the library with stiff controllers."""
-
 LIBRARY_TILT, ANY_TILT = 30.0, 90.0
 """Default of `--most-tilt`, degrees, for the tracker of the library and for other scenes."""
 
@@ -81,18 +78,27 @@ def tracker_settings(settings: tuple[str, ...], why: str) -> dict[str, str]:
     return refuse_excitation(scene_options(settings), why)
 
 
-def largest_tilt(scene: str | None, given: float | None) -> float:
+def largest_tilt(scene: str, given: float | None) -> float:
     """Return the largest tilt of the face, degrees: the given one, or the default of the scene."""
+    from crosscheck.library import SUN_TRACKER
+
     if given is not None:
         return given
-    return LIBRARY_TILT if scene is None else ANY_TILT
+    return LIBRARY_TILT if scene == SUN_TRACKER else ANY_TILT
 
 
-def load_tracker(scene: str | None, options: dict[str, str], axis: str | None) -> tuple[Scene, Axis]:
+def load_scene_or_tracker(scene: str, options: dict[str, str]) -> Scene:
+    """Load a scene, a model file or the tracker of the library, with warnings about imports."""
+    from crosscheck.library import SUN_TRACKER, load_sun_tracker
+
+    return load_sun_tracker(options) if scene == SUN_TRACKER else load_with_warnings(scene, options)
+
+
+def load_tracker(scene: str, options: dict[str, str], axis: str | None) -> tuple[Scene, Axis]:
     """Load a tracker, and return it with the normal of its face.
 
     Args:
-        scene: the argument SCENE, or None for the tracker of the library.
+        scene: name of a library scene, or of the tracker of the library, or a model file.
         options: options of the scene by name.
         axis: the option `--axis`.
 
@@ -100,10 +106,9 @@ def load_tracker(scene: str | None, options: dict[str, str], axis: str | None) -
         CrosscheckError: if the scene has no body of the default axis, and `--axis` is not given.
     """
     from crosscheck.design.workspace import axis_of
-    from crosscheck.library import load_sun_tracker
     from crosscheck.library.tracker_sun import PANEL_NORMAL
 
-    loaded = load_sun_tracker(options) if scene is None else load_with_warnings(scene, options)
+    loaded = load_scene_or_tracker(scene, options)
     if axis is not None:
         return loaded, axis_of(axis)
     if PANEL_NORMAL.body not in loaded.mechanism.body_names:

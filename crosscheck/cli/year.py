@@ -18,7 +18,6 @@ from crosscheck.cli.shared import (
     verbose_option,
 )
 from crosscheck.cli.trackers import (
-    LIBRARY_TRACKER,
     largest_tilt,
     load_tracker,
     tracker_options,
@@ -95,6 +94,7 @@ def year_command(
     SCENE is the name of a library scene or a model file (see run) with x to the east, y to the north and z
     up; without it, the tracker of the library. Poses are at rest, one for each hour.
     """
+    from crosscheck.library import SUN_TRACKER
     from crosscheck.solar.base import base_of
     from crosscheck.solar.place import SUN, Place
     from crosscheck.solar.tracking import Tracking
@@ -104,10 +104,11 @@ def year_command(
     from crosscheck.solar.year_report import YEAR_FILES, write_year, year_report
     from newton_euler.optional_packages import optional_package
 
+    source = scene or SUN_TRACKER
     # the rules of tracking
     options = tracker_settings(settings, why="poses are at rest")
     # the other options are rules of tracking
-    tracking = Tracking(most_tilt=largest_tilt(scene, most_tilt), **numbers)
+    tracking = Tracking(most_tilt=largest_tilt(source, most_tilt), **numbers)
     orientation = None if base is None else base_of(base)
     ends = dict(map(stroke_of, strokes))
     # the module
@@ -133,10 +134,9 @@ def year_command(
     elif latitude is not None and longitude is not None:
         place = Place(latitude, longitude)
     optional_package("pvlib", SUN)
-    source = scene or LIBRARY_TRACKER
     sources: list[str | Path] = [source, *([] if weather is None else [weather])]
     paths = result_paths(output, "output/year", kind="solar year", names=YEAR_FILES, sources=sources)
-    loaded, normal = load_tracker(scene, options, axis)
+    loaded, normal = load_tracker(source, options, axis)
     with progress_shown() as progress:
         progress("reading the weather" if weather else "light of the sky")
         if weather is not None:

@@ -59,6 +59,9 @@ SCENES: dict[str, Callable[..., Scene]] = {
 }
 """Functions that make the scenes of the library, by name. Their arguments are the options of the scene."""
 
+SUN_TRACKER = "tracker_sun"
+"""Name of the tracker of `crosscheck sun`, `year` and `list`, see `load_sun_tracker`."""
+
 LOAD_CASES: dict[str, Mapping[str, Mapping[str, str]]] = {"tracker_wind": tracker_wind.LOAD_CASES}
 """Load cases that `crosscheck loads` runs by default: options by the names of the scene and the case."""
 
@@ -94,6 +97,11 @@ def load(name: str, /, **options: str | float) -> Scene:
     """
     if name in SCENES:
         return SCENES[name](**_read_options(name, options))
+    if name == SUN_TRACKER:
+        raise CrosscheckError(
+            f"{name!r} is the tracker of `crosscheck sun` and `year`, which stands still without the sun; "
+            "the scene to run is 'tracker_sun_day'"
+        )
     if is_model_file(name):
         return read_model(name, options)[0]
     if remedy := CONVERSION_ADVICE.get(Path(name).suffix.lower()):
@@ -150,7 +158,7 @@ def load_sun_tracker(options: Mapping[str, str | float]) -> Scene:
         CrosscheckError: for an unknown option, and for a value that is not allowed.
     """
     make: Callable[..., Scene] = tracker_sun.sun_tracker
-    return make(**_read_options("tracker_sun", dict(options), make))
+    return make(**_read_options(SUN_TRACKER, dict(options), make))
 
 
 def _read_options(

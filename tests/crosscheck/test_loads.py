@@ -443,3 +443,6 @@ def test_the_tracker_of_the_sun_has_the_options_of_its_panel(capsys):
     assert load_sun_tracker({"panel_mass": "2"}).mechanism.body("panel_7").mass == 2.0
     _, out, _ = run(capsys, "list")
     assert "panel_mass=0.01..50 kg" in out.split("tracker_sun: ")[1].split("MJCF")[0]
+    status, out, _ = run(capsys, "list", "tracker_sun", "--set", "panel_mass=2")
+    assert status == 0
+    assert any(line.split()[0::2] == ["panel_7.mass", "2"] for line in out.splitlines())

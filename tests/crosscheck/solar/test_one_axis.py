@@ -187,6 +187,23 @@ def test_results_have_a_page(results):
     assert page.count("data:image/png;base64") >= 1
 
 
+@pytest.mark.parametrize("name", [(), ("tracker_sun",)])
+def test_the_tracker_has_a_name(capsys, tmp_path, name):
+    """With its name it has the same results as without, and a tilt of at most 30 degrees."""
+    given = ("--latitude", "37.4", "--date", DATE, "--period", "7200", "--output", tmp_path)
+    assert run(capsys, "sun", *name, *given)[0] == 0
+    content = json.loads((tmp_path / "sun.json").read_text())
+    assert (content["source"], content["scene"]) == ("tracker_sun", "tracker_sun")
+    tilts = [float(each["wanted_z"]) for each in csv_rows(tmp_path / "set_points.csv")]
+    assert min(tilts) == pytest.approx(np.cos(np.radians(30.0)), abs=1e-9)
+
+
+@pytest.mark.parametrize("command", ["run", "loads"])
+def test_other_commands_tell_the_scene_to_run(capsys, command):
+    status, _, err = run(capsys, command, "tracker_sun")
+    assert (status, "the scene to run is 'tracker_sun_day'" in err) == (2, True)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -469,6 +469,7 @@ def test_the_command_writes_what_it_prints(tmp_path, capsys):
         ),
         (["--latitude", "5", "--year", "2026", "--area", "2"], "--area, --efficiency and --temp"),
         (["--latitude", "5", "--year", "2026", "--set", "x=1"], "unknown option 'x' of scene 'tracker_sun'"),
+        (["tracker_sun", "--latitude", "5", "--year", "2026", "--set", "x=1"], "unknown option 'x' of scene"),
         (["--latitude", "5", "--year", "2026", "--stow", "9"], "clear sky of 2026 has no wind"),
         (["--latitude", "95", "--year", "2026"], "latitude 95.0 is off the globe"),
     ],
