@@ -190,7 +190,8 @@ def own_run_table(rows: Sequence[tuple[str, str, OwnRunResult | str]]) -> Iterat
     counts = Counter(each.word for each in judged)
     listed = ", ".join(f"{counts[word]} {word}" for word in WORDS if counts[word])
     repeats = sum(each.repeats for each in judged)
-    yield f"Judged models: {len(judged)} ({listed}). The engine alone repeats errors of {repeats} of these."
+    of_these = f"The engine alone repeats the errors of {repeats} of these."
+    yield f"Judged models: {len(judged)} ({listed}). {of_these}"
     yield ""
     cells: Rows = []
     for heading, model, each in rows:

@@ -88,7 +88,7 @@ def test_all_models_are_listed(tmp_path: Path) -> None:
     assert row is not None
     rows = [("some/robots 1234567", "arm.xml", row), ("some/robots 1234567", "broken.xml", "refused: no XML")]
     lines = list(own_run_table(rows))
-    assert lines[0] == "Judged models: 1 (1 WRONG). MuJoCo alone repeats the errors of 1 of these."
+    assert lines[0] == "Judged models: 1 (1 WRONG). The engine alone repeats the errors of 1 of these."
     assert any(line.startswith("| **some/robots 1234567** |") for line in lines)
     assert any(line.startswith(f"| arm.xml | {row.settings} | WRONG: ") for line in lines)
     assert lines[-1] == "| some/robots 1234567: broken.xml | refused: no XML |"
