@@ -70,6 +70,7 @@ pose is searched, too."""
 LOAD_CASES = {
     "operating": {"pose": "worst", "wind": "steady", "speed": "14", "wind_from": "15"},
     "gust": {"pose": "worst", "wind": "gust", "speed": "14", "wind_from": "15"},
+    "gust_west": {"pose": "worst", "wind": "gust", "speed": "14", "wind_from": "270"},
     "stow_up": {"pose": "stow", "wind": "steady", "speed": "40", "wind_from": "180", "vertical": "10"},
     "stow_down": {"pose": "stow", "wind": "steady", "speed": "40", "wind_from": "345", "vertical": "-10"},
 }
@@ -78,7 +79,8 @@ LOAD_CASES = {
 The speeds are examples: 14 m/s at which the tracker would be stowed, and a gust of 40 m/s that it has to
 survive in stow, with a vertical gust in both directions. 10 m/s is three standard deviations of the vertical
 turbulence at 40 m/s for an intensity of 17 % along the wind. The wind of each case comes from the direction
-in which an actuator has the largest force at rest, of all directions in steps of 15 degrees."""
+in which an actuator has the largest force at rest, of all directions in steps of 15 degrees; the gust from
+the west is the worst one of the first slider."""
 
 
 def tracker_wind(

@@ -123,9 +123,7 @@ def test_the_default_cases_load_a_stowed_panel_from_both_sides(capsys, tmp_path)
     status, out, _ = run(capsys, "loads", "tracker_wind", "--at-rest", "--output", tmp_path)
     assert status == 0
     content = json.loads((tmp_path / "loads.json").read_text())
-    assert (
-        content["cases"] == ["operating", "gust", "stow_up", "stow_down"] == list(LOAD_CASES["tracker_wind"])
-    )
+    assert content["cases"] == ["operating", "gust", "gust_west", "stow_up", "stow_down"]
     assert "is not reliable" not in out
     vertical = {}
     for case in ("stow_up", "stow_down"):
@@ -339,7 +337,10 @@ def test_wind_of_the_default_cases_comes_from_the_worst_direction():
             angle = np.radians(degrees)
             load_of_direction = replace(wind, direction=[-np.sin(angle), -np.cos(angle), 0.0])
             scene = replace(at_peak, forces=(load_of_direction,))
-            largest[degrees] = np.abs(statics(scene, poses[options["pose"]]).actuator_force).max()
+            force = np.abs(statics(scene, poses[options["pose"]]).actuator_force)
+            largest[degrees] = (
+                force[..., 0].max() if case == "gust_west" else force.max()
+            )  # of the first slider
         assert max(largest, key=largest.get) == float(options["wind_from"]), case
 
 
