@@ -35,6 +35,9 @@ LOST = {
     ("tracker_wind", ".xml"): {("drive", Q.GAIN), ("drive", Q.CONSTANT), ("drive", Q.PRESENCE)},
     ("tracker_computed_torque", ".xml"): {("drive", Q.PRESENCE)},
     ("tracker_sun_day", ".xml"): {("drive", Q.PRESENCE)},
+    ("tracker_drive", ".xml"): {("drive", Q.GAIN)},
+    # the same, and the force on the bucket becomes a motor
+    ("excavator", ".xml"): {("drive", Q.GAIN), ("drive", Q.CONSTANT), ("drive", Q.PRESENCE)},
     # the description of a scene has no forces on bodies; the MJCF has a motor
     ("andrews", ".xml"): {("drive", Q.PRESENCE)},
 }

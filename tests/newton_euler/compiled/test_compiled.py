@@ -63,6 +63,9 @@ BUILDS = (
 CONDITION = {"slider_tree": 10.0, "andrews": 10.0}
 """Scenes whose accelerations differ by more than 1e-12 between any two forms, floats included."""
 
+STIFFEST = {"excavator": 8e7}
+"""Stiffness of control laws, N/m, that magnifies the round-off of lengths of a meter in their forces."""
+
 
 @pytest.mark.parametrize("count", [20, pytest.param(1000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("formulation", FORMULATIONS)
@@ -78,7 +81,11 @@ def test_accelerations_are_the_float_forms(name, formulation, count):
         wanted = system.acceleration(q, v)
         assert found[-1] > 0.0
         assert np.abs(found[system.nq : -1] - wanted).max() < tolerance * max(np.abs(wanted).max(), 1.0)
-        assert found[: system.nq] == pytest.approx(system.rate(q, v), rel=1e-13, abs=1e-14)
+        rate = system.rate(q, v)
+        power = 1e-16 * STIFFEST.get(name, 0.0) * np.abs(v).max()  # error of forces times rates, W
+        least = np.full(system.nq, 1e-14)
+        least[-1] += power
+        assert np.all(np.abs(found[: system.nq] - rate) <= np.maximum(1e-13 * np.abs(rate), least))
 
 
 BEYOND = COUPLED | {name: FORCES[f"forces, {name}"] for name in ("ball_loop", "seven_hinges", "slider_tree")}
