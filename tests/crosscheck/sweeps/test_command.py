@@ -79,7 +79,7 @@ def test_extreme_runs_and_some_at_random_are_cross_checked():
     assert not kept["mujoco"].judged  # forces of its soft joints are some per mille off
     assert 0.0 <= kept["pinocchio"].value <= kept["pinocchio"].tolerance < 1e-6 * forces.max()
     assert swept.report.verdict.startswith(
-        "AGREE: all engines in all checks of 3 runs (2 extreme, 1 at random); "
+        "AGREE: the default engines in all checks of 3 runs (2 extreme, 1 at random); "
     )
 
 
@@ -186,7 +186,7 @@ def test_what_has_no_effect_is_said_and_checked_all_the_same():
     swept = sweep(short, {"dumbbell.mass": "uniform(1, 2)"}, 3, "final:dumbbell.position.z").check(1)
     assert [each.why for each in swept.checks] == ["at random"]
     assert "no effect" in str(swept)
-    assert swept.report.verdict.startswith("AGREE: all engines in all checks of 1 run (1 at random); ")
+    assert swept.report.verdict.startswith("AGREE: the default engines in all checks of 1 run (1 at random); ")
 
 
 def test_motions_that_test_nothing_are_not_said_to_agree(capsys, tmp_path):
@@ -194,7 +194,7 @@ def test_motions_that_test_nothing_are_not_said_to_agree(capsys, tmp_path):
     others = ("--vary", VARY, "--runs", "3", "--keep", KEEP, "--output", tmp_path / "out")
     status, out, _ = run(capsys, "sweep", "pendulum", *at_rest, *others)
     assert status == 0
-    assert "\nAGREE AT RANDOM STATES ONLY: all engines in all checks of 1 run" in out
+    assert "\nAGREE AT RANDOM STATES ONLY: the default engines in all checks of 1 run" in out
     assert "nothing moves" in out
 
 
