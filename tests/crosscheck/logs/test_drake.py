@@ -152,6 +152,7 @@ def poses_of(log, motions):
     return table
 
 
+@pytest.mark.slow
 def test_poses_without_velocities_start_with_those_of_the_model(log, motions):
     found = judged(poses_of(log, motions))
     # the same run as the log of joints; a fit of velocities to the first rows has errors of 1 deg

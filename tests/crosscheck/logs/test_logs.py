@@ -917,6 +917,7 @@ def test_unknown_parts_of_poses_are_no_errors_of_0(four_bar, checked):
     ]
 
 
+@pytest.mark.slow
 def test_a_log_that_fits_no_state_has_no_reading_with_a_large_error(tmp_path):
     path = tmp_path / "floating.xml"
     path.write_text(FLOATING)

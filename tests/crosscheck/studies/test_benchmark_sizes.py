@@ -206,7 +206,7 @@ def test_an_engine_that_does_not_reach_the_error_takes_no_part(monkeypatch, trac
 
 @pytest.mark.parametrize(
     ("limit", "error", "reason"),
-    [(1e-3, 1e-6, r".*0\.001 s"), (10.0, 1e-20, r"is known to .* only")],
+    [(1e-3, 1e-6, r".*0\.001 s"), pytest.param(10.0, 1e-20, r"is known to .* only", marks=pytest.mark.slow)],
 )
 def test_a_batch_without_a_reference_is_refused(short, tracker_states, monkeypatch, limit, error, reason):
     monkeypatch.setattr(benchmark_reference, "RUN_TIME_LIMIT", limit)

@@ -186,7 +186,9 @@ def test_what_has_no_effect_is_said_and_checked_all_the_same():
     swept = sweep(short, {"dumbbell.mass": "uniform(1, 2)"}, 3, "final:dumbbell.position.z").check(1)
     assert [each.why for each in swept.checks] == ["at random"]
     assert "no effect" in str(swept)
-    assert swept.report.verdict.startswith("AGREE: the default engines in all checks of 1 run (1 at random); ")
+    assert swept.report.verdict.startswith(
+        "AGREE: the default engines in all checks of 1 run (1 at random); "
+    )
 
 
 def test_motions_that_test_nothing_are_not_said_to_agree(capsys, tmp_path):
