@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from crosscheck.design.drive_report import DriveResults
+from crosscheck.design.load_plots import DASHES
 from crosscheck.engines.palette import palette
 from crosscheck.report.plots import own_style
 from newton_euler.analysis.loads.actuator_motions import ActuatorMotion
@@ -19,9 +20,6 @@ if TYPE_CHECKING:
 
 MAX_PLOTTED_DRIVES = 5
 """Largest number of drives in the plots of an actuator: those that suit and need the least energy."""
-
-DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)))
-"""Dash patterns of the drives, in their order; they tell drives apart without color."""
 
 MAX_DRAWN_TIMES, BINS = 3000, 120
 """Number of times of a motion above which only its envelope is drawn, and number of its bins over time. An

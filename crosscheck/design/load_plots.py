@@ -25,7 +25,7 @@ MAX_PLOTTED_JOINTS = 20
 """Largest number of joints in the plot: the joints with the largest forces."""
 
 DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)))
-"""Dash patterns of load cases, in their order; they tell cases apart without color."""
+"""Dash patterns of load cases or drives, in their order; they tell curves apart without color."""
 
 HATCHES = ("", "//", "..", "xx", "\\\\")
 """Patterns of the bars of load cases, in their order."""

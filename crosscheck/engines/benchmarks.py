@@ -141,6 +141,13 @@ class Benchmarks(NamedTuple):
     one_by_one: Callable[[Scene], BatchEngine] | None = None
 
 
+ATOL_PER_RTOL = (1.0, 1e-2)
+"""Ratios of absolute tolerance (SI units) and relative tolerance (rtol) that are run."""
+
+FINEST_DECADE = 13.5
+"""Negative decimal logarithm of the finest rtol, 3e-14. At finer tolerances round-off dominates."""
+
+
 def tolerance_ladder(
     method: str, coarsest: float, finest: float, atol_per_rtol: float, per_decade: int = 2, **options: Any
 ) -> Ladder:

@@ -28,6 +28,9 @@ MAX_RELATIVE_ERROR = 1e-2
 """Largest error of a run that comparisons accept, relative to the mechanism's reach (its size or its largest
 coordinate), 1 rad or the energy. A run with a larger error has too coarse steps to test a model."""
 
+OTHER_LINE = ("-.", 1.6)
+"""Dash pattern and width (points) of curves of engines that do not run unless they are named."""
+
 FORCE_OUTPUTS = frozenset({"reactions", "actuation"})
 """Outputs that comparisons need of runs, but not of refined runs."""
 
@@ -132,7 +135,7 @@ class Engine:
     label: str = ""
     min_version: str = "0"
     color: str = ""
-    line: tuple[str, float] = ("-.", 1.6)
+    line: tuple[str, float] = OTHER_LINE
     explicit: Literal["DOP853", "RK4"] = "DOP853"
     exact: Callable[[Scene], Trajectory] | None = None
     soft_constraints: SoftConstraints | None = None

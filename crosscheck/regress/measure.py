@@ -27,7 +27,7 @@ import numpy as np
 
 from crosscheck.compare.check import ERROR_PER_CHANGE, round_off
 from crosscheck.engines.energy import energy_balance
-from crosscheck.engines.registry import choose
+from crosscheck.engines.registry import ENGINES
 from crosscheck.own_run.judge import measure_error
 from crosscheck.regress.baseline import (
     GROUPS_OF_ENGINES,
@@ -204,7 +204,7 @@ def _naming_integrator(integrator: str) -> Iterator[None]:
 def _measure_engine(measurement: Measurement) -> Iterator[StoredQuantity]:
     """Measure equations and a short run of the engine that the group is named after."""
     scene = measurement.scene
-    (engine,) = choose([measurement.group])
+    engine = ENGINES[measurement.group]
     system = engine.systems(scene)[0]  # the engine's equations of motion with rigid constraints
     yield from measurement.equations(system)
     if engine.soft_constraints is not None:

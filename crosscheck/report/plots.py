@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from crosscheck.compare.check import CONSTRAINT_VIOLATION, POSES
+from crosscheck.engines.engine import OTHER_LINE
 from crosscheck.engines.palette import palette
 from crosscheck.engines.registry import ENGINES
 from crosscheck.own_run.allowed import OWN_RUN
@@ -40,9 +41,6 @@ factor, and ends at the longest run time times the second, which leaves space fo
 
 SPEED_CAPTION = "Run time of each engine at its defaults, less is faster; at equal errors: crosscheck bench"
 """Caption of the bar chart of run times."""
-
-OTHER_LINE = ("-.", 1.6)
-"""Dash pattern and width (points) of curves of engines that do not run unless they are named."""
 
 Runs = Mapping[str, Mapping[str, Array]]
 """Arrays of `Trajectory.arrays`, by engine and by name; other engines are compared with the first."""

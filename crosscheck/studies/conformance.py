@@ -148,6 +148,15 @@ def _motion_apart(engine: Engine, scene: Scene) -> str:
     return f"positions differ by {apart:.2g} of the reach" if not apart <= TOLERANCE else ""
 
 
+def _values_apart(engine: Engine, scene: Scene, *names: str) -> str:
+    """Return which output of some names differs first from the reference; "" within `TOLERANCE`."""
+    run, other = _both(engine, scene)
+    for name in names:
+        if not (apart := _apart(getattr(run, name), getattr(other, name))) <= TOLERANCE:
+            return f"{name} differs by {apart:.2g}"
+    return ""
+
+
 def start(engine: Engine) -> str:
     """The first row of a run is the initial state of the scene, with its velocities."""
     run, state = engine.simulate(swing()), initial_state(swing())
@@ -225,20 +234,12 @@ def reaction_point(engine: Engine) -> str:
 
 def drive_force(engine: Engine) -> str:
     """The force of a control law is an actuator force, and no part of the reaction."""
-    run, other = _both(engine, driven())
-    for name in ("actuator_force", "reaction_torque"):
-        if not (apart := _apart(getattr(run, name), getattr(other, name))) <= TOLERANCE:
-            return f"{name} differs by {apart:.2g}"
-    return ""
+    return _values_apart(engine, driven(), "actuator_force", "reaction_torque")
 
 
 def energy(engine: Engine) -> str:
     """Energies are absolute: the potential energy of a weight is zero at the origin of the world."""
-    run, other = _both(engine, swing())
-    for name in ("kinetic_energy", "potential_energy"):
-        if not (apart := _apart(getattr(run, name), getattr(other, name))) <= TOLERANCE:
-            return f"{name} differs by {apart:.2g}"
-    return ""
+    return _values_apart(engine, swing(), "kinetic_energy", "potential_energy")
 
 
 def loops(engine: Engine) -> str:

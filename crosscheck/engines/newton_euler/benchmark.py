@@ -15,6 +15,8 @@ from itertools import product
 import numpy as np
 
 from crosscheck.engines.benchmarks import (
+    ATOL_PER_RTOL,
+    FINEST_DECADE,
     Benchmarks,
     CompletedBatch,
     Ladder,
@@ -39,12 +41,6 @@ from newton_euler.model.state import State
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.runs.batch import simulate_batch
 from newton_euler.runs.simulate import compile_scene
-
-ATOL_PER_RTOL = (1.0, 1e-2)
-"""Ratios of absolute tolerance (SI units) and relative tolerance (rtol) that are run."""
-
-FINEST_DECADE = 13.5
-"""Negative decimal logarithm of the finest rtol, 3e-14. At finer tolerances round-off dominates."""
 
 FINEST_RADAU_DECADE = 9.5
 """Negative decimal logarithm of Radau's finest rtol, 3e-10. Radau has order 5, and would need too many steps

@@ -11,6 +11,8 @@ from functools import partial
 from timeit import Timer
 
 from crosscheck.engines.benchmarks import (
+    ATOL_PER_RTOL,
+    FINEST_DECADE,
     Benchmarks,
     Model,
     Models,
@@ -21,12 +23,6 @@ from crosscheck.engines.benchmarks import (
 )
 from newton_euler.model.scene import Scene
 from urdf.benchmark_kernels import Kinematics, articulated_bodies, equations_of, lsoda
-
-ATOL_PER_RTOL = (1.0, 1e-2)
-"""Ratios of absolute tolerance (SI units) and relative tolerance (rtol) that are run."""
-
-FINEST_DECADE = 13.5
-"""Negative decimal logarithm of the finest rtol, 3e-14. At finer tolerances round-off dominates."""
 
 BAUMGARTE_ALPHAS = (0.0, 3.0, 10.0)
 """Parameters alpha, 1/s, of Baumgarte's stabilization, which feeds back constraint violations with the gains
