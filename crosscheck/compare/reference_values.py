@@ -148,7 +148,7 @@ def _two_runs(scene: Scene, engine: Engine, run: Trajectory) -> tuple[Trajectory
     """
     if engine.exact is not None:
         with suppress(NewtonEulerError):
-            exact = engine.exact(scene)
+            exact = engine.simulate(scene, engine.exact)
             try:
                 return exact, engine.refined(scene)
             except NewtonEulerError:

@@ -12,7 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple, Protocol
 
 from crosscheck.engines.benchmarks import Benchmarks
 from crosscheck.engines.stress import StressSettings
@@ -35,17 +36,36 @@ FORCE_OUTPUTS = frozenset({"reactions", "actuation"})
 """Outputs that comparisons need of runs, but not of refined runs."""
 
 
+Settings = Mapping[str, Any]
+"""Options of a run by name, such as the integrator and its step, as `Trajectory.settings` has them."""
+
+NO_SETTINGS: Settings = MappingProxyType({})
+"""No options: the engine chooses all of them for the scene."""
+
+
+class Simulate(Protocol):
+    """Function that simulates a scene."""
+
+    def __call__(self, scene: Scene, settings: Settings = NO_SETTINGS, /) -> Trajectory:
+        """Simulate a scene with settings; the engine chooses those that are not given.
+
+        Raises:
+            NewtonEulerError: for a scene that the engine cannot simulate, and for a run that stops.
+            TypeError, ValueError: for unknown or wrong settings; a NewtonEulerError is better.
+        """
+
+
 class FixedSteps(NamedTuple):
     """Runs at a fixed step, which repeat to round-off; `crosscheck regress` stores the end of a short one.
 
     Attributes:
         integrator: name of the integrator.
-        simulate: simulates a scene at a step, s.
+        settings: returns the settings of runs at a step, s.
         steps: number of steps of a short run, which takes about a second or less.
     """
 
     integrator: str
-    simulate: Callable[[Scene, float], Trajectory]
+    settings: Callable[[float], Settings]
     steps: int
 
 
@@ -96,7 +116,7 @@ class Engine:
 
     Attributes:
         name: name in files and options.
-        simulate: simulates a scene with crosscheck's default settings for the engine.
+        simulate: simulates a scene with given settings, or with those that the engine chooses for the scene.
         refined: simulates a scene with half the step or tighter tolerances.
         systems: returns the engine's equations of motion with rigid constraints, one per formulation (choice
             of coordinates); an empty tuple if it cannot, so that it is compared by its runs only.
@@ -109,12 +129,12 @@ class Engine:
         color, line: color #rrggbb of a default engine, and dash pattern of matplotlib with width, points;
             thick solid under thin dashed lines, so that all of several equal curves are visible.
         explicit: integrator of default runs of scenes that are not stiff.
-        exact: simulates a scene as accurately as possible, for reference values; `refined` is used if None.
+        exact: settings of the most accurate runs, for reference values; `refined` is used if None.
         soft_constraints: the engine's soft constraints; None if its constraints are rigid.
         refined_in_full: as `refined`, but always with reactions and actuator forces; `refined` is used if
             None.
         fixed_steps: runs at a fixed step; None if the engine has none, or none that repeats to round-off.
-        at_tolerance: simulates a scene with DOP853 at a relative tolerance and rigid constraints; None if the
+        at_tolerance: returns settings of DOP853 at a relative tolerance, with rigid constraints; None if the
             engine has no such runs, or equations that are not independent of newton_euler's.
         with_moved_anchor: returns the equations of a scene of which one loop-closing joint, by name, has its
             point in the second body moved by a vector (3,), m, as a planted fault; None if the engine takes
@@ -125,7 +145,7 @@ class Engine:
     """
 
     name: str
-    simulate: Callable[[Scene], Trajectory]
+    simulate: Simulate
     refined: Callable[[Scene], Trajectory]
     systems: Callable[[Scene], tuple[System, ...]] = no_systems
     trajectory_error: float = 1e-9
@@ -137,11 +157,11 @@ class Engine:
     color: str = ""
     line: tuple[str, float] = OTHER_LINE
     explicit: Literal["DOP853", "RK4"] = "DOP853"
-    exact: Callable[[Scene], Trajectory] | None = None
+    exact: Settings | None = None
     soft_constraints: SoftConstraints | None = None
     refined_in_full: Callable[[Scene], Trajectory] | None = None
     fixed_steps: FixedSteps | None = None
-    at_tolerance: Callable[[Scene, float], Trajectory] | None = None
+    at_tolerance: Callable[[float], Settings] | None = None
     with_moved_anchor: Callable[[Scene, str, Array], System] | None = None
     importer: Importer | None = None
     stress_settings: Callable[[], StressSettings] | None = None
@@ -149,7 +169,7 @@ class Engine:
 
     def stress(self) -> StressSettings:
         """Return the settings of stress tests."""
-        return self.stress_settings() if self.stress_settings else StressSettings(self.simulate)
+        return self.stress_settings() if self.stress_settings else StressSettings()
 
 
 def without_forces(scene: Scene) -> Scene:

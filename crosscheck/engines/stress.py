@@ -6,8 +6,6 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
-from newton_euler.model.trajectory import Trajectory
-
 Options = dict[str, Any]
 """Options of the engine's simulation function by name, such as the integrator and its step."""
 
@@ -22,7 +20,6 @@ class StressSettings(NamedTuple):
     """Settings of an engine for `crosscheck stress`.
 
     Attributes:
-        simulate: simulates a scene with options.
         typical: the usual setting, or one for each formulation; used where a case need not try all settings.
         topics: settings by topic; `typical` is used for topics that are missing.
         long_runs: settings of long runs.
@@ -35,7 +32,6 @@ class StressSettings(NamedTuple):
         integrates_work: False if the work of controllers would cost a call of Python at each step.
     """
 
-    simulate: Callable[..., Trajectory]
     typical: tuple[Options, ...] = ({},)
     topics: Mapping[Topic, tuple[Options, ...]] = MappingProxyType({})
     long_runs: LongRuns = MappingProxyType({})

@@ -215,7 +215,8 @@ def _measure_engine(measurement: Measurement) -> Iterator[StoredQuantity]:
         tolerances = RelativeTolerances(acceleration=soft, reaction=soft)
         yield from measurement.evaluation("soft constraints", samples, solution, tolerances)
     if (fixed := engine.fixed_steps) is not None:
-        run = fixed.simulate(measurement.short(fixed.steps), measurement.plan.step)
+        settings = fixed.settings(measurement.plan.step)
+        run = engine.simulate(measurement.short(fixed.steps), settings)
         yield from measurement.end_of_run(fixed.integrator, run)
 
 

@@ -278,7 +278,7 @@ def equations(engine: Engine) -> str:
 def settings(engine: Engine) -> str:
     """A setting that the engine does not have is refused, not ignored."""
     try:
-        engine.stress().simulate(swing(), no_such_setting=1.0)
+        engine.simulate(swing(), {"no_such_setting": 1.0})
     except (NewtonEulerError, CrosscheckError, TypeError, ValueError):
         return ""
     return "a setting that does not exist is ignored"

@@ -16,10 +16,12 @@ from crosscheck.engines.benchmarks import Benchmarks
 from crosscheck.engines.energy import energy_balance, min_energy_scale
 from crosscheck.engines.engine import (
     MAX_RELATIVE_ERROR,
+    NO_SETTINGS,
     Engine,
     FixedSteps,
     Importer,
     ImporterLimit,
+    Settings,
     SoftConstraints,
     without_forces,
 )
@@ -181,11 +183,11 @@ def _soft_evaluation(scene: Scene) -> Evaluation:
     return soft.evaluate(*soft.coordinates(initial_state(scene)))
 
 
-def _rk4(scene: Scene, step: float) -> Trajectory:
-    """Simulate a scene in MuJoCo with RK4 at a step, s."""
+def _simulate(scene: Scene, settings: Settings = NO_SETTINGS, /) -> Trajectory:
+    """Simulate a scene in MuJoCo."""
     import mjcf
 
-    return mjcf.simulate(scene, timestep=step, integrator="RK4")
+    return mjcf.simulate(scene, **settings) if settings else _run(scene)
 
 
 def _with_moved_anchor(scene: Scene, joint: str, shift: Array) -> System:
@@ -222,7 +224,7 @@ def _benchmarks() -> Benchmarks:
 # effect on a run depends on the mechanism
 ENGINE = Engine(
     "mujoco",
-    _run,
+    _simulate,
     _refined,
     _systems,
     trajectory_error=1e-9,
@@ -235,7 +237,7 @@ ENGINE = Engine(
     line=("--", 1.6),
     soft_constraints=SoftConstraints(_soft_evaluation, SOLVER_TOLERANCE),
     refined_in_full=partial(_refined, in_full=True),
-    fixed_steps=FixedSteps("RK4", _rk4, steps=40),
+    fixed_steps=FixedSteps("RK4", lambda step: {"integrator": "RK4", "timestep": step}, steps=40),
     with_moved_anchor=_with_moved_anchor,
     benchmarks=_benchmarks,
     importer=Importer(_as_imported, LIMITS),

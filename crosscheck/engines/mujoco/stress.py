@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import mjcf
 from crosscheck.engines.stress import Options, StressSettings
 
 
@@ -12,7 +11,6 @@ def setting(integrator: str = "RK4", timestep: float = 1e-3) -> Options:
 
 
 STRESS = StressSettings(
-    mjcf.simulate,
     typical=(setting(),),
     topics={
         "starts": (setting(), setting("implicitfast")),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from crosscheck.engines.adaptive import native_refined, native_run
 from crosscheck.engines.benchmarks import Benchmarks
-from crosscheck.engines.engine import Engine
+from crosscheck.engines.engine import NO_SETTINGS, Engine, Settings
 from crosscheck.engines.stress import StressSettings
 from crosscheck.support.colors import BLUE
 from newton_euler.equations.system import System
@@ -16,11 +16,11 @@ EXACT_RTOL, EXACT_ATOL = 1e-13, 1e-15
 """Tolerances of runs for reference values of twelve digits; tighter ones only add round-off."""
 
 
-def _exact(scene: Scene) -> Trajectory:
-    """Simulate a scene in newton_euler at the tightest useful tolerances."""
+def _simulate(scene: Scene, settings: Settings = NO_SETTINGS, /) -> Trajectory:
+    """Simulate a scene in newton_euler."""
     from newton_euler import simulate
 
-    return simulate(scene, rtol=EXACT_RTOL, atol=EXACT_ATOL)
+    return simulate(scene, **settings) if settings else native_run(scene)
 
 
 def _systems(scene: Scene) -> tuple[System, ...]:
@@ -47,7 +47,7 @@ def _benchmarks() -> Benchmarks:
 # DOP853 at rtol 1e-10 or Radau, projected onto the constraints after each step
 ENGINE = Engine(
     "newton_euler",
-    native_run,
+    _simulate,
     native_refined,
     _systems,
     trajectory_error=1e-9,
@@ -56,7 +56,7 @@ ENGINE = Engine(
     package=DISTRIBUTION,
     color=BLUE,
     line=("-", 2.6),
-    exact=_exact,
+    exact={"rtol": EXACT_RTOL, "atol": EXACT_ATOL},
     benchmarks=_benchmarks,
     stress_settings=_stress_settings,
 )

@@ -8,7 +8,6 @@ from typing import Any
 from crosscheck.engines.stress import Options, StressSettings
 from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.integrators.options import STABILIZATIONS, FormulationName, StabilizationName
-from newton_euler.runs.simulate import simulate
 
 
 def setting(
@@ -33,7 +32,6 @@ STABILIZED = tuple(setting(*each) for each in product(FORMULATIONS, STABILIZATIO
 """Both formulations with each method of stabilization, at the default tolerance."""
 
 STRESS = StressSettings(
-    simulate,
     typical=both_formulations(),
     topics={
         "long tops": (*STABILIZED, setting(integrator="Radau", rtol=1e-8, atol=1e-10)),

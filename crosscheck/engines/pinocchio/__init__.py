@@ -9,7 +9,15 @@ from typing import Any
 
 from crosscheck.engines.adaptive import python_options
 from crosscheck.engines.benchmarks import Benchmarks
-from crosscheck.engines.engine import Engine, FixedSteps, Importer, ImporterLimit, without_forces
+from crosscheck.engines.engine import (
+    NO_SETTINGS,
+    Engine,
+    FixedSteps,
+    Importer,
+    ImporterLimit,
+    Settings,
+    without_forces,
+)
 from crosscheck.engines.stress import StressSettings
 from crosscheck.support.colors import GREEN
 from newton_euler.equations.system import System
@@ -33,12 +41,12 @@ LOOSER_TOLERANCE_FACTOR = 5.0
 nearly singular loops and of stiff machines may have too few accurate digits for `REFINED_RTOL`."""
 
 
-def _run(scene: Scene) -> Trajectory:
-    """Simulate a scene in Pinocchio with default settings."""
-    return _simulate(scene, python_options(scene, refined=False))
+def _simulate(scene: Scene, settings: Settings = NO_SETTINGS, /) -> Trajectory:
+    """Simulate a scene in Pinocchio."""
+    return _first_run(scene, [dict(settings)] if settings else python_options(scene, refined=False))
 
 
-def _simulate(scene: Scene, methods: Sequence[dict[str, Any]]) -> Trajectory:
+def _first_run(scene: Scene, methods: Sequence[dict[str, Any]]) -> Trajectory:
     """Simulate a scene in Pinocchio with the first options with which the run does not stop."""
     import urdf
 
@@ -52,7 +60,7 @@ def _refined(scene: Scene, in_full: bool = False) -> Trajectory:
     """Simulate a scene in Pinocchio at refined tolerances, or at looser ones if that run stops."""
     methods = python_options(scene, refined=True)
     looser = {name: LOOSER_TOLERANCE_FACTOR * methods[-1][name] for name in ("rtol", "atol")}
-    return _simulate(scene if in_full else without_forces(scene), [*methods, methods[-1] | looser])
+    return _first_run(scene if in_full else without_forces(scene), [*methods, methods[-1] | looser])
 
 
 def _systems(scene: Scene) -> tuple[System, ...]:
@@ -60,13 +68,6 @@ def _systems(scene: Scene) -> tuple[System, ...]:
     from urdf.dynamics import PinocchioSystem
 
     return (PinocchioSystem(scene),)
-
-
-def _rk4(scene: Scene, step: float) -> Trajectory:
-    """Simulate a scene in Pinocchio with RK4 at a step, s."""
-    import urdf
-
-    return urdf.simulate(scene, "RK4", step=step)
 
 
 def _stress_settings() -> StressSettings:
@@ -90,17 +91,10 @@ def _benchmarks() -> Benchmarks:
     return BENCHMARKS
 
 
-def _at_tolerance(scene: Scene, rtol: float) -> Trajectory:
-    """Simulate a scene in Pinocchio with DOP853 at a relative tolerance."""
-    import urdf
-
-    return urdf.simulate(scene, rtol=rtol, atol=0.01 * rtol)
-
-
 # Pinocchio uses the same methods as newton_euler, with equations evaluated in Python
 ENGINE = Engine(
     "pinocchio",
-    _run,
+    _simulate,
     _refined,
     _systems,
     trajectory_error=1e-9,
@@ -111,8 +105,9 @@ ENGINE = Engine(
     color=GREEN,
     line=(":", 1.8),
     refined_in_full=partial(_refined, in_full=True),
-    fixed_steps=FixedSteps("RK4", _rk4, steps=10),  # Python calls Pinocchio four times per step
-    at_tolerance=_at_tolerance,
+    # Python calls Pinocchio four times per step
+    fixed_steps=FixedSteps("RK4", lambda step: {"integrator": "RK4", "step": step}, steps=10),
+    at_tolerance=lambda rtol: {"rtol": rtol, "atol": 0.01 * rtol},
     benchmarks=_benchmarks,
     importer=Importer(_as_imported, LIMITS),
     stress_settings=_stress_settings,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import urdf
 from crosscheck.engines.stress import Options, StressSettings
 
 DEFAULT: Options = {}
@@ -12,7 +11,6 @@ PROJECTION: Options = {"stabilization": "projection"}
 """Each step projected onto the constraints."""
 
 STRESS = StressSettings(
-    urdf.simulate,
     topics={
         "starts": (DEFAULT, PROJECTION, {"stabilization": "none"}),
         "singular": (DEFAULT, PROJECTION),

@@ -136,7 +136,9 @@ def _candidates(scene: Scene, tightest: float) -> dict[str, Callable[[], Traject
     for rtol in (tightest, 2.0 * tightest):
         for engine in ENGINES.values():
             if engine.at_tolerance is not None:
-                runs[f"{engine.label}, DOP853 rtol {rtol:.0e}"] = partial(engine.at_tolerance, scene, rtol)
+                runs[f"{engine.label}, DOP853 rtol {rtol:.0e}"] = partial(
+                    engine.simulate, scene, engine.at_tolerance(rtol)
+                )
     for formulation in reversed(FORMULATIONS):
         runs[f"{SOLVER.name} {formulation}, DOP853 rtol {tightest:.0e}"] = partial(
             simulate, scene, formulation=formulation, rtol=tightest, atol=0.01 * tightest

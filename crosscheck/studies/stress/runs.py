@@ -47,7 +47,7 @@ class Setting:
     def simulate(self, scene: Scene) -> Trajectory:
         """Simulate a scene with the engine and the options; errors of the engine are passed on."""
         (engine,) = choose([self.engine])
-        return engine.stress().simulate(scene, **self.options)
+        return engine.simulate(scene, self.options)
 
     def __str__(self) -> str:
         texts = (

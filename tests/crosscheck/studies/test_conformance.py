@@ -106,7 +106,7 @@ WRONG = {
     ),
     "refinement": replace(SOLVER, refined=lambda scene: simulate(scene, integrator="Euler", step=1e-3)),
     "equations": replace(SOLVER, systems=lambda scene: SOLVER.systems(injection.mass("bar", 0.01)(scene))),
-    "settings": replace(SOLVER, stress_settings=None, simulate=lambda scene, **_: simulate(scene)),
+    "settings": replace(SOLVER, simulate=lambda scene, settings=None: simulate(scene)),
 }
 """A wrong engine by the point that finds it."""
 
