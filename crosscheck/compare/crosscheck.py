@@ -25,6 +25,7 @@ from crosscheck.compare.singularity import SingularConfigurations, find_singular
 from crosscheck.compare.wording import verdict_of
 from crosscheck.engines.engine import Engine
 from crosscheck.engines.engine_runs import Stop, collecting_errors, run_engines, stops_text
+from crosscheck.engines.limits import require_expressed
 from crosscheck.engines.registry import ENGINES, EngineError
 from crosscheck.own_run.judge import Judgement, judge
 from crosscheck.support.errors import CrosscheckError, reason_of
@@ -220,6 +221,7 @@ def _usable_engines(scene: Scene, engines: Sequence[Engine]) -> tuple[list[Engin
         refined = lru_cache(_naming_refined_run(engine))
         cached = replace(engine, refined=refined, systems=lru_cache(engine.systems))
         try:
+            require_expressed(engine.name, engine.limits(scene))
             cached.systems(scene)
         except (NewtonEulerError, EngineError) as error:
             errors[engine.name] = error

@@ -10,12 +10,13 @@ run measures the integration error.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, Protocol
 
 from crosscheck.engines.benchmarks import Benchmarks
+from crosscheck.engines.limits import Limit, no_limits
 from crosscheck.engines.stress import StressSettings
 from crosscheck.library import REFERENCE_QUANTITIES
 from newton_euler.equations.system import Evaluation, System
@@ -120,6 +121,8 @@ class Engine:
         refined: simulates a scene with half the step or tighter tolerances.
         systems: returns the engine's equations of motion with rigid constraints, one per formulation (choice
             of coordinates); an empty tuple if it cannot, so that it is compared by its runs only.
+        limits: lists what the engine cannot express of a scene; `simulate` and `systems` refuse such a scene
+            by a `CannotExpressError`, and comparisons leave the engine out with this reason.
         trajectory_error: expected error of poses, relative to the mechanism's reach (positions) or in rad.
         drift: expected constraint violation, relative to the mechanism's reach (lengths) or in rad.
         energy_error: expected energy balance error, relative to the largest energy.
@@ -148,6 +151,7 @@ class Engine:
     simulate: Simulate
     refined: Callable[[Scene], Trajectory]
     systems: Callable[[Scene], tuple[System, ...]] = no_systems
+    limits: Callable[[Scene], Sequence[Limit]] = no_limits
     trajectory_error: float = 1e-9
     drift: float = 1e-9
     energy_error: float = 1e-8

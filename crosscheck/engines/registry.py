@@ -1,13 +1,14 @@
 """Registry of the engines: those that comparisons run unless others are named, and how the others are found.
 
-An engine that is not among the default ones is registered by the entry point `crosscheck.engines` of an
-installed package, whose object is an `Engine`. It runs if it is named, or with the name `ALL`.
+Other engines run if they are named, or with the name `ALL`: the optional ones of this project, whose adapters
+need a package that an extra installs, and those that other packages register by the entry point
+`crosscheck.engines`, whose object is an `Engine`.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, version
 from typing import Final, Never
 
@@ -21,6 +22,12 @@ SOLVER = newton_euler.ENGINE
 
 ENGINES: dict[str, Engine] = {engine.name: engine for engine in (SOLVER, mujoco.ENGINE, pinocchio.ENGINE)}
 """Engines by name that run unless others are named."""
+
+OPTIONAL: Mapping[str, str] = {}
+"""Requirement, such as "drake>=1.51,<2", of each optional engine of this project, by name.
+
+The extra of the same name installs it. The module of the same name is imported if the installed version
+fulfills the requirement."""
 
 ENTRY_POINTS: Final = "crosscheck.engines"
 """Group of the entry points by which packages register engines."""
@@ -48,7 +55,7 @@ class NotInstalledError(EngineError):
 
 def names() -> tuple[str, ...]:
     """Return the names of all engines, the default ones first; those that are not installed are included."""
-    return tuple(dict.fromkeys([*ENGINES, *sorted(point.name for point in _points())]))
+    return tuple(dict.fromkeys([*ENGINES, *OPTIONAL, *sorted(point.name for point in _points())]))
 
 
 def choose(wanted: Iterable[str]) -> list[Engine]:
@@ -79,17 +86,23 @@ def choose(wanted: Iterable[str]) -> list[Engine]:
 
 
 def _points() -> list[EntryPoint]:
-    """Return the entry points of all engines that are not among the default ones."""
-    return [point for point in entry_points(group=ENTRY_POINTS) if point.name not in ENGINES]
+    """Return the entry points of all engines of other packages."""
+    ours = {*ENGINES, *OPTIONAL}
+    return [point for point in entry_points(group=ENTRY_POINTS) if point.name not in ours]
 
 
 def _load(name: str) -> Engine:
-    """Load an engine by its entry point.
+    """Load an engine that is not among the default ones.
 
     Raises:
         CrosscheckError: for an unknown name; `EngineError` for an engine that cannot be used.
     """
-    values = {point.value: point for point in _points() if point.name == name}
+    if name in OPTIONAL:
+        _require(name, OPTIONAL[name])
+        points = [EntryPoint(name, f"{__package__}.{name}:ENGINE", ENTRY_POINTS)]
+    else:
+        points = [point for point in _points() if point.name == name]
+    values = {point.value: point for point in points}
     if not values:
         known = (*names(), ALL)
         raise CrosscheckError(f"unknown engine {name!r}; {choices(name, known)}")
@@ -113,26 +126,35 @@ def _load(name: str) -> Engine:
 
 def _checked(engine: object, name: str, where: str) -> Engine:
     """Return what an entry point names, if it is an engine of this name whose package is new enough."""
-    from packaging.version import Version
-
     if not isinstance(engine, Engine) or engine.name != name:
         raise EngineError(f"engine {name!r}: {where} is {engine!r}; needed: an Engine of this name")
-    oldest = engine.min_version
-    needed = f"needed: {oldest} or newer, as by: pip install '{engine.package}>={oldest}'"
-    try:
-        found = version(engine.package)
-    except PackageNotFoundError as error:
-        reason = f"package {engine.package} is not installed; {needed}"
-        raise NotInstalledError(f"engine {name!r}: {reason}") from error
-    if Version(found) < Version(oldest):
-        raise EngineError(f"engine {name!r}: package {engine.package} has version {found}; {needed}")
+    _require(name, f"{engine.package}>={engine.min_version}")
     return engine
+
+
+def _require(name: str, requirement: str) -> None:
+    """Require an installed version of the package of an engine.
+
+    Args:
+        name: name of the engine.
+        requirement: package and versions, such as "numpy>=2.0".
+    """
+    from packaging.requirements import Requirement
+
+    needed = Requirement(requirement)
+    how = f"needed: {requirement}, as by: python -m pip install '{requirement}'"
+    try:
+        found = version(needed.name)
+    except PackageNotFoundError as error:
+        raise NotInstalledError(f"engine {name!r}: package {needed.name} is not installed; {how}") from error
+    if not needed.specifier.contains(found, prereleases=True):
+        raise EngineError(f"engine {name!r}: package {needed.name} has version {found}; {how}")
 
 
 def _installed() -> list[Engine]:
     """Return the engines besides the default ones whose packages are installed, also unusable ones."""
     found = []
-    for name in sorted({point.name for point in _points()}):
+    for name in names()[len(ENGINES) :]:
         try:
             found.append(_load(name))
         except NotInstalledError:

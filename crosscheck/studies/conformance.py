@@ -18,6 +18,7 @@ from crosscheck.compare.levels import compare_pair
 from crosscheck.compare.outcome import Verdict
 from crosscheck.compare.samples import Samples, States
 from crosscheck.engines.engine import Engine
+from crosscheck.engines.limits import CannotExpressError
 from crosscheck.report.table import Cell, Report, Rows, Table, text_columns
 from crosscheck.support.errors import CrosscheckError, reason_of
 from newton_euler.equations.relative import Relative
@@ -275,6 +276,23 @@ def equations(engine: Engine) -> str:
     return ""
 
 
+def limits(engine: Engine) -> str:
+    """Scenes for which `limits` lists something are refused by an error; all others run."""
+    for scene in (swing(), driven(), geared(), parallelogram()):
+        found = engine.limits(scene)
+        try:
+            engine.simulate(scene)
+        except CannotExpressError as error:
+            if not found:
+                return f"{scene.name} is refused though `limits` lists nothing: {error}"
+        except NewtonEulerError as error:
+            return f"{scene.name} is refused, but not by a CannotExpressError: {error}"
+        else:
+            if found:
+                return f"{scene.name} runs though `limits` lists {found[0]}"
+    return ""
+
+
 def settings(engine: Engine) -> str:
     """A setting that the engine does not have is refused, not ignored."""
     try:
@@ -288,7 +306,7 @@ POINTS: dict[str, Callable[[Engine], str]] = {
     each.__name__: each
     for each in (
         *(start, quaternion_order, motion, outputs, reaction_sign, reaction_frame, reaction_point),
-        *(drive_force, energy, loops, couplings, refinement, equations, settings),
+        *(drive_force, energy, loops, couplings, refinement, equations, limits, settings),
     )
 }
 """Points of the contract by name: functions that return what is wrong with an engine, or ""."""

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import sys
+import tomllib
 from dataclasses import replace
 from importlib.metadata import EntryPoint, version
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from command_line import run
 
 from crosscheck.cli.shared import DEFAULT_ENGINES
 from crosscheck.engines import registry
+from crosscheck.engines.limits import Limit
 from crosscheck.engines.registry import (
     ENGINES,
     ENTRY_POINTS,
@@ -32,6 +36,7 @@ def _raise(scene):
     raise ImportError("a library is missing")
 
 
+LIMITED = replace(TOY, limits=lambda scene: [Limit("joint 'hinge'", "no hinges")])
 RAISING = replace(TOY, name="raising", systems=_raise)
 
 
@@ -62,7 +67,7 @@ def test_all_are_those_that_are_installed(registered):
     ("name", "value", "reason"),
     [
         ("absent", "ABSENT", "package absent-package is not installed"),
-        ("old", "OLD", f"package numpy has version {version('numpy')}; needed: 9999.10 or newer"),
+        ("old", "OLD", f"package numpy has version {version('numpy')}; needed: numpy>=9999.10"),
         ("broken", "NOTHING_OF_THIS_NAME", "cannot be loaded from"),
         ("wrong", "NO_ENGINE", "is 'no engine'; needed: an Engine of this name"),
         ("other", "TOY", "needed: an Engine of this name"),
@@ -75,6 +80,64 @@ def test_an_engine_that_cannot_be_used_says_why(registered, name, value, reason)
     assert repr(name) in str(caught.value)
     assert reason in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.fixture
+def optional(monkeypatch):
+    """A function that makes "toy" an optional engine of this project, with a requirement and a module."""
+
+    def offer(requirement, module=None):
+        monkeypatch.setattr(registry, "OPTIONAL", {"toy": requirement})
+        monkeypatch.setitem(sys.modules, "crosscheck.engines.toy", module)
+
+    return offer
+
+
+def test_an_optional_engine_is_imported_if_its_requirement_is_fulfilled(optional):
+    optional("numpy>=1.2,<99", SimpleNamespace(ENGINE=TOY))
+    assert registry.names() == (*ENGINES, "toy")
+    assert choose(["all"])[-1] is TOY
+
+
+@pytest.mark.parametrize(
+    ("requirement", "reason", "error"),
+    [
+        (
+            "absent-package>=2",
+            "package absent-package is not installed; needed: absent-package>=2",
+            NotInstalledError,
+        ),
+        (
+            "numpy>=99,<100",
+            f"package numpy has version {version('numpy')}; needed: numpy>=99,<100",
+            EngineError,
+        ),
+        ("numpy>=1,<2", f"package numpy has version {version('numpy')}; needed: numpy>=1,<2", EngineError),
+    ],
+)
+def test_optional_engines_that_cannot_be_used(optional, requirement, reason, error):
+    optional(requirement)  # importing the module would fail
+    with pytest.raises(error) as caught:
+        choose(["toy"])
+    assert reason in str(caught.value)
+    assert len(choose(["all"])) == len(ENGINES) + (error is EngineError)
+
+
+def test_requirements_of_optional_engines_are_those_of_their_extras():
+    project = tomllib.loads(Path(__file__).parents[2].joinpath("pyproject.toml").read_text())["project"]
+    extras = {
+        name: needed for name, needed in project["optional-dependencies"].items() if name in registry.OPTIONAL
+    }
+    assert extras == {name: [requirement] for name, requirement in registry.OPTIONAL.items()}
+
+
+def test_what_an_engine_cannot_express_leaves_it_out(registered, capsys, tmp_path):
+    registered(toy="LIMITED")
+    status, out, _ = run(
+        capsys, "run", "pendulum", "--engines", "toy,newton_euler,mujoco", "--output", tmp_path
+    )
+    assert status == 3
+    assert "toy cannot express joint 'hinge': no hinges" in out
 
 
 @pytest.mark.parametrize("name", ["all", "relative", "own_run", "../x", "a,b", "Toy", ""])
@@ -107,7 +170,7 @@ def test_unusable_engines_leave_the_others_untouched(registered, capsys, tmp_pat
     status, out, _ = run(capsys, "run", "pendulum", "--engines", "all", "--output", tmp_path)
     assert status == 3
     assert "AGREE (3 of 5 engines): newton_euler, mujoco, pinocchio agree" in out
-    assert "9999.10 or newer" in out
+    assert "numpy>=9999.10" in out
     assert "a library is missing" in out
 
 
@@ -145,4 +208,4 @@ def test_a_run_with_a_registered_engine(registered, capsys, tmp_path):
     status, out, err = run(capsys, *arguments, "--engines", "toy,old")
     assert (status, out) == (2, "")
     assert len(err.splitlines()) == 1
-    assert "9999.10 or newer" in err
+    assert "numpy>=9999.10" in err

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from command_line import run
 
+from crosscheck.engines.limits import CannotExpressError, Limit
 from crosscheck.engines.registry import ENGINES, SOLVER
 from crosscheck.studies.conformance import POINTS, Result, check_engine, check_point
 from crosscheck.studies.conformance_tests import EngineConformance
@@ -106,6 +107,7 @@ WRONG = {
     ),
     "refinement": replace(SOLVER, refined=lambda scene: simulate(scene, integrator="Euler", step=1e-3)),
     "equations": replace(SOLVER, systems=lambda scene: SOLVER.systems(injection.mass("bar", 0.01)(scene))),
+    "limits": replace(SOLVER, limits=lambda scene: [Limit("body 'bar'", "bars are not expressed")]),
     "settings": replace(SOLVER, simulate=lambda scene, settings=None: simulate(scene)),
 }
 """A wrong engine by the point that finds it."""
@@ -129,6 +131,18 @@ ALONE = ("quaternion_order", "drive_force", "energy", "loops", "couplings", "equ
 def test_a_wrong_engine_fails_at_no_other_point(point):
     found = check_engine(WRONG[point], lambda _: None)
     assert [each.point for each in found if each.result is not Result.HOLDS] == [point]
+
+
+def test_a_refusal_is_listed():
+    def refuse(scene, settings=None):
+        raise error
+
+    limit = Limit("joint 'hinge'", "hinges are not expressed")
+    for error in (NewtonEulerError("no hinges"), CannotExpressError("wrong", [limit])):
+        found = check_point(replace(SOLVER, simulate=refuse), "limits")
+        assert (found.result, str(error) in found.why) == (Result.FAILS, True)
+    listed = replace(SOLVER, simulate=refuse, limits=lambda scene: [limit])
+    assert check_point(listed, "limits").result is Result.HOLDS
 
 
 def test_refusals_have_a_reason_and_errors_are_failures():
