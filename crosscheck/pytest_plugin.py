@@ -98,14 +98,15 @@ class CheckedModel:
             pytest.fail(f"{problem}\nlook: crosscheck view {recording}", pytrace=False)
 
     def assert_unchanged(self) -> None:
-        """Fail the test if results of newton_euler differ from the stored baseline; the message lists them.
+        """Fail the test if results differ from the stored baseline; the message lists them.
 
-        The baseline of a model file is next to the file. That of a model in memory is next to the test, in
-        SCENE.baseline.json.
+        The test also fails if an engine of the baseline is not installed. A new baseline has the default
+        engines and those that the test names. The baseline of a model file is next to the file. That of a
+        model in memory is next to the test, in SCENE.baseline.json.
         """
         from crosscheck.regress.compare import compare
         from crosscheck.regress.report import tables
-        from crosscheck.regress.run import GuardedScene, guard_scene, update_baselines
+        from crosscheck.regress.run import GuardedScene, engines_of, guard_scene, update_baselines
         from crosscheck.report.render import terminal
 
         __tracebackhide__ = True
@@ -124,13 +125,17 @@ class CheckedModel:
                 import_report=found.mapping,
             )
         if self.reason is not None:
-            update_baselines([guarded], self.reason, progress=_no_progress)
+            # the baseline keeps its engines, and gets those of the test
+            with _errors_as_failures():
+                tested = [*(engine.name for engine in found.engines), *found.left_out]
+                engines = list(dict.fromkeys([*engines_of(guarded), *tested]))
+                update_baselines([guarded], self.reason, _no_progress, engines)
         elif not guarded.path.exists():
             pytest.fail(f"no baseline {guarded.path}; pytest {UPDATE_OPTION} REASON stores it", pytrace=False)
         else:
             with _errors_as_failures():
                 comparison = compare(guarded.scene, guarded.baseline(), _no_progress, guarded.import_report)
-            if comparison.moved:
+            if comparison.moved or comparison.not_measured:
                 pytest.fail(f"{terminal(tables([comparison]))}{comparison.verdict}", pytrace=False)
 
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import one_thread  # noqa: F401  # before NumPy
@@ -20,6 +21,8 @@ from hostile_process import Server
 import mjcf.reading.source
 import newton_euler
 from crosscheck.cli import shared
+from crosscheck.engines import registry
+from crosscheck.engines.engine import Engine
 from crosscheck.library import load
 from newton_euler.errors import MissingPackageError
 from newton_euler.model.motions import PrescribedMotion
@@ -133,6 +136,20 @@ def locking() -> Scene:
     motion = PrescribedMotion("motor", Polynomial((0.0, 1e5)))
     changed = {"duration": 0.01, "output_period": 0.001, "control": (), "motions": (motion,)}
     return replace(paper, initial_state=None, **changed)
+
+
+@pytest.fixture
+def with_engines(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """A function that registers engines, as other packages do."""
+
+    def register(*engines: Engine) -> None:
+        points = [
+            SimpleNamespace(name=engine.name, value=f"tests:{engine.name}", load=lambda engine=engine: engine)
+            for engine in engines
+        ]
+        monkeypatch.setattr(registry, "entry_points", lambda group: points)
+
+    return register
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,9 @@ import click
 
 from crosscheck.cli.shared import (
     AGREE,
+    DEFAULT_ENGINES,
     cli,
+    engines_option,
     progress_shown,
     say,
     scene_options,
@@ -26,6 +29,11 @@ if TYPE_CHECKING:
 
 _path = click.Path(path_type=Path)
 
+ENGINES_OF_BASELINES = (
+    f"Engines of new baselines, with --update.  [default: those of the baseline, or {DEFAULT_ENGINES}]"
+)
+"""Help of the option `--engines`."""
+
 
 @cli.command("regress")
 @click.argument("sources", nargs=-1, metavar="[SCENE]...")
@@ -36,6 +44,7 @@ _path = click.Path(path_type=Path)
 @click.option(
     "--update", "reason", metavar="REASON", help="Write new baselines and store the reason in them."
 )
+@partial(engines_option, text=ENGINES_OF_BASELINES)
 @click.option(
     "--output",
     type=_path,
@@ -54,27 +63,30 @@ def regress_command(
     settings: tuple[str, ...],
     baseline: Path | None,
     reason: str | None,
+    engines: list[str] | None,
     output: Path,
     allow_reduced: bool,
 ) -> int:
     """Regression test: compare results with stored baselines.
 
     SCENEs are names of library scenes or model files (default: all library scenes whose optional packages are
-    installed). Exit status: 1 if a value moved by more than its tolerance, 4 if elements of a file act that
-    are not simulated. A lower cost (operations, steps, evaluations) is an improvement and never fails.
-    `crosscheck report OUTPUT` writes a page of the results.
+    installed). Exit status: 1 if a value moved by more than its tolerance, 3 if an engine of a baseline is
+    not installed, 4 if elements of a file act that are not simulated. A lower cost (operations, steps,
+    evaluations) is an improvement and never fails. `crosscheck report OUTPUT` writes a page of the results.
     """
     from crosscheck.regress.report import outcome, report, tables, verdict
     from crosscheck.regress.run import check_baselines, update_baselines
 
     if len(sources) != 1 and (settings or baseline):
         raise CrosscheckError("--set and --baseline are of one SCENE; name it")
+    if engines and reason is None:
+        raise CrosscheckError("--engines chooses the engines of new baselines; it needs --update REASON")
     guarded, left_out = _load_guarded(sources, scene_options(settings), baseline)
     if reason is not None:
         if left_out:
             raise CrosscheckError(f"--update: {'; '.join(f'{n}: {why}' for n, why in left_out.items())}")
         with progress_shown() as progress:
-            baselines = update_baselines(guarded, reason, progress)
+            baselines = update_baselines(guarded, reason, progress, engines or ())
         for each, found in zip(guarded, baselines, strict=True):
             more = f" and {len(found.unsimulated)} elements not simulated" if found.unsimulated else ""
             say(f"wrote {each.path}: {len(found.quantities)} quantities{more}")

@@ -154,7 +154,11 @@ DEFAULT_ENGINES = "newton_euler,mujoco,pinocchio"
 """Engines that run by default; written here so that the help starts fast."""
 
 
-def engines_option(command: Callable[..., int]) -> Callable[..., int]:
+ENGINES_HELP = f"Engines, separated by commas; `all` names every installed one.  [default: {DEFAULT_ENGINES}]"
+"""Help of the option `--engines`."""
+
+
+def engines_option(command: Callable[..., int], text: str = ENGINES_HELP) -> Callable[..., int]:
     """Add the option `--engines` to a command; its default is None and means those of the registry."""
 
     def names(context: click.Context, _: click.Parameter, given: str | None) -> list[str] | None:
@@ -166,7 +170,6 @@ def engines_option(command: Callable[..., int]) -> Callable[..., int]:
         choose(wanted)
         return wanted
 
-    text = f"Engines, separated by commas; `all` names every installed one.  [default: {DEFAULT_ENGINES}]"
     return click.option("--engines", metavar="NAMES", callback=names, help=text)(command)
 
 

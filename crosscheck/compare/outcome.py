@@ -74,6 +74,8 @@ class Outcome(StrEnum):
     """All checks against the baselines passed."""
     QUIET_ON_A_REDUCED_MODEL = "QUIET ON A REDUCED MODEL"
     """All checks against the baselines passed, but elements of the file acted that were not simulated."""
+    QUIET_OF_SOME_ENGINES = "QUIET OF SOME ENGINES"
+    """All checks against the baselines passed, but an engine of a baseline is not installed."""
     MOVED = "MOVED"
     """A check against a baseline failed."""
 
@@ -90,6 +92,7 @@ class Outcome(StrEnum):
                 | Outcome.ONE_ENGINE_ALONE
                 | Outcome.NOT_COMPARED
                 | Outcome.QUIET_ON_A_REDUCED_MODEL
+                | Outcome.QUIET_OF_SOME_ENGINES
             ):
                 return "doubtful"
             case (
@@ -121,7 +124,12 @@ class Outcome(StrEnum):
                 return ExitStatus.DISAGREE
             case Outcome.INACCURATE:
                 return ExitStatus.INACCURATE
-            case Outcome.UNFINISHED | Outcome.AGREE_OF_SOME_ENGINES | Outcome.NOT_COMPARED:
+            case (
+                Outcome.UNFINISHED
+                | Outcome.AGREE_OF_SOME_ENGINES
+                | Outcome.NOT_COMPARED
+                | Outcome.QUIET_OF_SOME_ENGINES
+            ):
                 return ExitStatus.UNFINISHED
             case _:
                 assert_never(self)

@@ -250,7 +250,6 @@ class EngineComparison(ABC):
         Of the import report: `findings` are likely mistakes in the file, `start` has lines of text about the
         initial state, `moved_start` and `changed_velocities` are its changes that satisfy the constraints.
         """
-        used = {"numpy", "scipy", "rerun-sdk", *(engine.package for engine in self.engines)}
         return {
             "scene": self.scene.name,
             "source": self.source,
@@ -259,7 +258,7 @@ class EngineComparison(ABC):
             "outcome": self.outcome.value,
             "verdict": self.verdict,
             "wall_time": self.wall_time,
-            "versions": versions(sorted(used)),
+            "versions": versions(self.engines, ("numpy", "scipy", "rerun-sdk")),
             "unfinished": [asdict(stop) for stop in self.unfinished],
             "engines": {engine.name: self._run_summary(engine.name) for engine in self.engines},
             "checks": [asdict(check) | {"agrees": check.agrees} for check in self.checks],

@@ -129,7 +129,7 @@ class Engine:
         package: distribution of the engine, as pip names it, whose version is recorded.
         label: name in texts of importers and references, such as "MuJoCo".
         min_version: oldest version of the package that can be used.
-        color, line: color #rrggbb of a default engine, and dash pattern of matplotlib with width, points;
+        color, line: color #rrggbb, and dash pattern of matplotlib with width, points;
             thick solid under thin dashed lines, so that all of several equal curves are visible.
         explicit: integrator of default runs of scenes that are not stiff.
         exact: settings of the most accurate runs, for reference values; `refined` is used if None.

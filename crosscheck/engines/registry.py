@@ -85,6 +85,16 @@ def choose(wanted: Iterable[str]) -> list[Engine]:
     return list(found.values())
 
 
+def find(name: str) -> Engine | None:
+    """Return the engine of a name; None if there is no such engine, or if it cannot be used."""
+    if name in ENGINES:
+        return ENGINES[name]
+    try:
+        return _load(name)
+    except CrosscheckError:
+        return None
+
+
 def _points() -> list[EntryPoint]:
     """Return the entry points of all engines of other packages."""
     ours = {*ENGINES, *OPTIONAL}

@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import os
 from collections import Counter
+from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -28,7 +29,8 @@ from pydantic import (
     model_validator,
 )
 
-from crosscheck.engines.registry import ENGINES, SOLVER
+from crosscheck.engines.engine import Engine
+from crosscheck.engines.registry import NAME, RESERVED, SOLVER
 from crosscheck.engines.versions import versions
 from crosscheck.library.entries import Number, Quaternion, Vector
 from crosscheck.support.checksum import with_checksum
@@ -42,23 +44,20 @@ FIXED_GROUPS = ("model", "relative", "cartesian", "integrators", "own_run")
 """Names of the groups that are not engines."""
 
 
-GROUPS_OF_ENGINES = tuple(name for name in ENGINES if name != SOLVER.name)
-"""Names of the groups of other engines."""
-
-
 def _known_group(name: str) -> str:
-    """Return the name of a group; raises `ValueError` for any other name."""
-    if name not in (known := (*FIXED_GROUPS, *GROUPS_OF_ENGINES)):
-        raise ValueError(f"{name!r} is no group; {choices(name, known)}")
+    """Return the name of a group; raises `ValueError` for a name that no engine can have."""
+    is_engine = NAME.fullmatch(name) and name not in {*RESERVED, SOLVER.name}
+    if not is_engine and name not in FIXED_GROUPS:
+        raise ValueError(f"{name!r} is no group; {choices(name, FIXED_GROUPS)}, or an engine")
     return name
 
 
 GroupName = Annotated[str, AfterValidator(_known_group)]
-"""Name of a group of quantities that are measured together, see `crosscheck.regress.measure.GROUPS`.
+"""Name of a group of quantities that are measured together, see `crosscheck.regress.measure`.
 
 "model" has properties of the scene, such as masses. "relative" (joint coordinates) and "cartesian" (poses of
 bodies) are the formulations of newton_euler, crosscheck's solver; "integrators" are its integrators other
-than the default one. Other engines have a group of their name."""
+than the default one. Other engines have a group of their name; they need not be installed."""
 
 OPERATIONS_PREFIX = "operations of "
 """Start of the names of quantities that count arithmetic operations of compiled code."""
@@ -241,9 +240,9 @@ class UpdateRecord(_Strict):
     versions: dict[str, str]
 
     @classmethod
-    def now(cls, reason: str) -> UpdateRecord:
-        """Return the record of an update today with the installed versions."""
-        return cls(date=datetime.now(UTC).strftime("%Y-%m-%d"), reason=reason, versions=versions())
+    def now(cls, reason: str, engines: Iterable[Engine]) -> UpdateRecord:
+        """Return the record of an update today with the installed versions, also those of engines."""
+        return cls(date=datetime.now(UTC).strftime("%Y-%m-%d"), reason=reason, versions=versions(engines))
 
 
 class Baseline(_Strict):
@@ -300,6 +299,12 @@ class Baseline(_Strict):
     def groups(self) -> list[GroupName]:
         """Groups that have quantities, in the order of the file."""
         return list(dict.fromkeys(quantity.group for quantity in self.quantities))
+
+    @property
+    def engines(self) -> list[str]:
+        """Names of the engines besides newton_euler, also of those without quantities."""
+        groups = dict.fromkeys([*self.groups, *self.left_out])
+        return [group for group in groups if group not in FIXED_GROUPS]
 
     def find(self, group: str, name: str) -> StoredQuantity | None:
         """Return the quantity with a name in a group; None if the baseline has no such quantity."""

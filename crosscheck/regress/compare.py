@@ -4,6 +4,8 @@ A baseline is a JSON file with measured quantities of a scene and their toleranc
 quantities of a baseline again and makes one check for each. A check fails if the quantity changed by more
 than its stored tolerance; the quantity then "moved", and a scene without such quantities is "quiet".
 
+The groups of engines that are not installed are not measured, and have no checks.
+
 Two kinds of quantities fail only if they grow: costs (counts of operations, steps and evaluations), and the
 errors of the run that a model file's engine makes with the settings of the file. If one of them falls by more
 than its tolerance, the check is an improvement.
@@ -14,8 +16,8 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any
 
@@ -24,6 +26,8 @@ import numpy as np
 from crosscheck.compare.activity import acted, watched_in_new_run, what_acted
 from crosscheck.compare.check import Check
 from crosscheck.compare.outcome import Outcome
+from crosscheck.engines.engine import Engine
+from crosscheck.engines.registry import EngineError, choose, names
 from crosscheck.engines.versions import versions
 from crosscheck.regress.baseline import Baseline, StoredQuantity, UpdateRecord
 from crosscheck.regress.measure import measure_group
@@ -102,6 +106,7 @@ class Comparison:
             are within their tolerances.
         wall_time: s, duration of the comparison.
         acting: elements of the model file that act during the run and are not simulated.
+        not_measured: reasons by name of the engines of the baseline that cannot be used.
     """
 
     scene: str
@@ -111,12 +116,15 @@ class Comparison:
     diverges: float | None
     wall_time: float
     acting: tuple[ImportedElement, ...] = ()
+    not_measured: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def outcome(self) -> Outcome:
-        """Outcome of the comparison: a failed check outweighs elements that are not simulated."""
+        """Outcome of the comparison; if several apply, the most severe one."""
         if self.moved:
             return Outcome.MOVED
+        if self.not_measured:
+            return Outcome.QUIET_OF_SOME_ENGINES
         return Outcome.QUIET_ON_A_REDUCED_MODEL if self.acting else Outcome.QUIET
 
     @property
@@ -153,8 +161,9 @@ class Comparison:
         """One line: the outcome, the number of checks, the changed versions and the time of divergence."""
         baseline = f"the baseline of {self.last_update.date}"
         count = len(self.checks)
+        not_measured = "".join(f"; not measured: {reason}" for reason in self.not_measured.values())
         if not self.moved:
-            left_out = "".join(f"; not simulated: {acted(entry)}" for entry in self.acting)
+            left_out = "".join(f"; not simulated: {acted(entry)}" for entry in self.acting) + not_measured
             if better := self._improvements:
                 return (
                     f"{self.scene}: quiet: none of {count} checks fails against {baseline}{better}{left_out}"
@@ -166,7 +175,7 @@ class Comparison:
         settings = ""
         if any(check.is_error for check in self.moved):
             settings = "; the run with your settings has a larger error: crosscheck run names cause and fix"
-        return f"{self.scene}: MOVED: {moved}: {since}{when}{settings}{self._improvements}"
+        return f"{self.scene}: MOVED: {moved}: {since}{when}{settings}{self._improvements}{not_measured}"
 
     def summary(self) -> dict[str, Any]:
         """Return the result of the comparison as an entry of `scenes` in regress.json."""
@@ -175,6 +184,7 @@ class Comparison:
             "quiet": not self.moved,
             "outcome": self.outcome.value,
             "not_simulated": [asdict(entry) for entry in self.acting],
+            "not_measured": dict(self.not_measured),
             "verdict": self.verdict,
             "baseline": self.last_update.model_dump(),
             "versions": self.versions,
@@ -210,7 +220,10 @@ def compare(
     checks = check_unsimulated(baseline.unsimulated or [], unsimulated(import_report, watched) or [])
     diverges = None
     simulation = import_report.simulation if import_report else None  # the model file in its own engine
+    engines, not_measured = _engines_of(baseline)
     for group in baseline.groups:
+        if group in not_measured:
+            continue
         progress(f"{scene.name}: {group}")
         measured = measure_group(group, measured_scene, baseline.plan, simulation)
         stored = [quantity for quantity in baseline.quantities if quantity.group == group]
@@ -221,11 +234,26 @@ def compare(
         scene=scene.name,
         checks=tuple(checks),
         last_update=baseline.last_update,
-        versions=versions(),
+        versions=versions(engines),
         diverges=diverges,
         wall_time=time.perf_counter() - start,
         acting=tuple(watched.acting) if watched else (),
+        not_measured={name: why for name, why in not_measured.items() if name in baseline.groups},
     )
+
+
+def _engines_of(baseline: Baseline) -> tuple[list[Engine], dict[str, str]]:
+    """Return the engines of a baseline, and by name the reason why each of the others cannot be used."""
+    found, reasons = list[Engine](), dict[str, str]()
+    for name in baseline.engines:
+        if name not in names():
+            reasons[name] = f"engine {name!r} is not installed"
+            continue
+        try:
+            found += choose([name])
+        except EngineError as error:
+            reasons[name] = str(error)
+    return found, reasons
 
 
 def unsimulated(import_report: ImportReport | None, watched: ImportReport | None) -> list[str] | None:

@@ -1,11 +1,11 @@
 """Measure the quantities of a scene that `crosscheck regress` compares with a baseline.
 
 A scene is a mechanism (bodies and joints) with forces, inputs, initial state and duration. The quantities
-come in groups (`GROUPS`): properties of the model; equations and runs of the solver newton_euler in each of
-its two formulations; its other integrators; the other engines; and the "own run". The own run
-is the run of a model file (MJCF or URDF) in the file's engine with the time step and solver settings of the
-file. A formulation is a choice of coordinates: "relative" are joint coordinates, "cartesian" are the
-positions and orientations of all bodies.
+come in groups: properties of the model; equations and runs of the solver newton_euler in each of its two
+formulations; its other integrators; other engines; and the "own run". The own run is the run of a
+model file (MJCF or URDF) in the file's engine with the time step and solver settings of the file. A
+formulation is a choice of coordinates: "relative" are joint coordinates, "cartesian" are the positions and
+orientations of all bodies.
 
 newton_euler runs the whole scene in joint coordinates, and a tenth of its duration in Cartesian coordinates,
 at tight tolerances; `crosscheck.regress.plan` chooses these settings. The other integrators and engines make
@@ -19,7 +19,7 @@ second run with tighter error control.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, cast
 
@@ -27,11 +27,12 @@ import numpy as np
 
 from crosscheck.compare.check import ERROR_PER_CHANGE, round_off
 from crosscheck.engines.energy import energy_balance
-from crosscheck.engines.registry import ENGINES
+from crosscheck.engines.limits import require_expressed
+from crosscheck.engines.registry import SOLVER, choose
 from crosscheck.own_run.judge import measure_error
 from crosscheck.regress.baseline import (
-    GROUPS_OF_ENGINES,
     OPERATIONS_PREFIX,
+    OWN_RUN_GROUP,
     GroupName,
     MeasurementPlan,
     StoredQuantity,
@@ -89,8 +90,9 @@ def measure_group(
         The quantities, or the message of the first error of any kind: an error of the tested code is a result
         that is compared with the baseline, too.
     """
+    measure = GROUPS.get(group, _measure_engine)
     try:
-        return list(GROUPS[group](Measurement(group, scene, plan, simulation)))
+        return list(measure(Measurement(group, scene, plan, simulation)))
     except Exception as error:
         return reason_of(error)
 
@@ -204,10 +206,14 @@ def _naming_integrator(integrator: str) -> Iterator[None]:
 def _measure_engine(measurement: Measurement) -> Iterator[StoredQuantity]:
     """Measure equations and a short run of the engine that the group is named after."""
     scene = measurement.scene
-    engine = ENGINES[measurement.group]
-    system = engine.systems(scene)[0]  # the engine's equations of motion with rigid constraints
-    yield from measurement.equations(system)
-    if engine.soft_constraints is not None:
+    (engine,) = choose([measurement.group])
+    require_expressed(engine.name, engine.limits(scene))
+    system, *_ = engine.systems(scene) or (None,)  # equations of motion with rigid constraints
+    if system is None and engine.fixed_steps is None:
+        raise CrosscheckError(f"{engine.name} has neither equations of motion nor runs of fixed steps")
+    if system is not None:
+        yield from measurement.equations(system)
+    if system is not None and engine.soft_constraints is not None:
         samples = measurement.samples(system, 0.0, initial_state(scene))
         # the constraints magnify the solver's error twice, as in reactions under rigid constraints
         soft = engine.soft_constraints.solver_tolerance * samples.condition**2
@@ -248,7 +254,12 @@ GROUPS: dict[GroupName, Callable[[Measurement], Iterator[StoredQuantity]]] = {
     "relative": _measure_formulation,
     "cartesian": _measure_formulation,
     "integrators": _measure_integrators,
-    **dict.fromkeys(GROUPS_OF_ENGINES, _measure_engine),
-    "own_run": _measure_own_run,
+    OWN_RUN_GROUP: _measure_own_run,
 }
-"""Functions that measure all quantities of a group, by the name of the group."""
+"""Functions that measure all quantities of a group, by the name of the group; other groups are engines."""
+
+
+def groups_with(engines: Iterable[str]) -> list[GroupName]:
+    """Return the names of all groups, with those of engines, in the order of a baseline."""
+    fixed = [group for group in GROUPS if group != OWN_RUN_GROUP]
+    return [*fixed, *(name for name in engines if name != SOLVER.name), OWN_RUN_GROUP]

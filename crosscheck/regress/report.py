@@ -2,9 +2,9 @@
 
 The input is a list of `Comparison`, one for each scene that was compared with its baseline (stored results).
 A check of a quantity against the baseline fails if the quantity "moved". If nothing moved, the outcome is
-"quiet", or "quiet on a reduced model" if elements of the model file acted that are not simulated. Costs and
-errors that fell are improvements: "cheaper" or "more accurate". The level of a check is the name of a group
-of quantities.
+"quiet". It is "quiet on a reduced model" if elements of the model file acted that are not simulated, and
+"quiet of some engines" if an engine of the baseline is not installed. Costs and errors that fell are
+improvements: "cheaper" or "more accurate". The level of a check is the name of a group of quantities.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def _row(check: BaselineCheck, prefix: str = "") -> list[str | Cell]:
 def outcome(comparisons: Sequence[Comparison]) -> Outcome:
     """Return the worst outcome of all scenes."""
     outcomes = {comparison.outcome for comparison in comparisons}
-    for worst in (Outcome.MOVED, Outcome.QUIET_ON_A_REDUCED_MODEL):
+    for worst in (Outcome.MOVED, Outcome.QUIET_OF_SOME_ENGINES, Outcome.QUIET_ON_A_REDUCED_MODEL):
         if worst in outcomes:
             return worst
     return Outcome.QUIET
@@ -84,6 +84,8 @@ def verdict(comparisons: Sequence[Comparison], left_out: Mapping[str, str]) -> s
     for word, names in (("cheaper", cheaper), ("more accurate", more_accurate)):
         notes += f"; {word}: {', '.join(names)}" if names else ""
     notes += f"; left out: {', '.join(left_out)}" if left_out else ""
+    engines = dict.fromkeys(name for comparison in comparisons for name in comparison.not_measured)
+    notes += f"; not measured: {', '.join(engines)}" if engines else ""
     if moved:
         return f"{Outcome.MOVED}: {len(moved)} of {len(comparisons)} scenes: {', '.join(moved)}{notes}"
     count = sum(len(comparison.checks) for comparison in comparisons)
@@ -116,6 +118,8 @@ def report(
         rows: Rows = []
         for level in dict.fromkeys(check.level for check in comparison.checks):
             rows += [level, *(_row(check) for check in comparison.checks if check.level == level)]
+        for engine, reason in comparison.not_measured.items():
+            rows += [engine, ["not measured", Cell(reason, "fails")]]
         if comparison.acting:
             rows.append("acts in the file, and is not simulated")
             for entry in comparison.acting:

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from crosscheck.compare.activity import watched_in_new_run
-from crosscheck.engines.registry import SOLVER
+from crosscheck.engines.registry import ENGINES, SOLVER, choose
 from crosscheck.library import SCENES
 from crosscheck.library.model_files import is_model_file
 from crosscheck.library.options import titled
@@ -34,7 +34,7 @@ from crosscheck.regress.baseline import (
     read_baseline,
 )
 from crosscheck.regress.compare import Comparison, compare, unsimulated
-from crosscheck.regress.measure import GROUPS, measure_group_with_errors
+from crosscheck.regress.measure import groups_with, measure_group_with_errors
 from crosscheck.regress.plan import MAIN_FORMULATION, main_run, make_plan, regress_scene
 from crosscheck.regress.report import as_json, junit, report
 from crosscheck.report.render import markdown
@@ -127,19 +127,33 @@ def guard_scene(source: str, options: dict[str, str], baseline: Path | None = No
     return GuardedScene(source, options, scene, path, import_report)
 
 
-def make_baseline(guarded: GuardedScene, reason: str, progress: Progress) -> Baseline:
+def engines_of(guarded: GuardedScene) -> list[str]:
+    """Return the names of the engines of a scene's baseline; the default engines if there is no baseline."""
+    return [SOLVER.name, *guarded.baseline().engines] if guarded.path.exists() else list(ENGINES)
+
+
+def make_baseline(
+    guarded: GuardedScene, reason: str, progress: Progress, engines: Sequence[str] = ()
+) -> Baseline:
     """Measure a new baseline of a scene; the history of an existing baseline is kept.
 
     Args:
         guarded: the scene.
         reason: why the baseline is created or updated.
         progress: function that receives the name of each group of quantities before its measurement.
+        engines: names of the engines; those of `engines_of` if empty. newton_euler is always measured.
 
     Raises:
-        CrosscheckError: for a scene that newton_euler cannot run at any tolerance.
+        CrosscheckError: for a scene that newton_euler cannot run at any tolerance, and an engine that cannot
+            be used.
     """
     scene = regress_scene(guarded.scene)  # with the outputs that the quantities need
     history = guarded.baseline().history if guarded.path.exists() else []
+    try:
+        chosen = choose(engines or engines_of(guarded))
+    except CrosscheckError as error:
+        remedy = "install it, or name the engines of the baseline with --engines"
+        raise CrosscheckError(f"{guarded.path}: {error}; {remedy}") from error
     try:
         plan = make_plan(scene)
     except NewtonEulerError as error:
@@ -150,7 +164,7 @@ def make_baseline(guarded: GuardedScene, reason: str, progress: Progress) -> Bas
     if simulation is not None and any(until := horizons(simulation)):
         plan = plan.model_copy(update={"own_run_until": until})
     quantities, left_out = list[StoredQuantity](), dict[GroupName, str]()
-    for group in GROUPS:
+    for group in groups_with(engine.name for engine in chosen):
         if group == OWN_RUN_GROUP and simulation is None:
             continue
         progress(f"{scene.name}: {group}")
@@ -167,24 +181,27 @@ def make_baseline(guarded: GuardedScene, reason: str, progress: Progress) -> Bas
         scene=scene.name,
         options=guarded.options,
         unsimulated=unsimulated(import_report, watched),
-        history=[*history, UpdateRecord.now(reason)],
+        history=[*history, UpdateRecord.now(reason, chosen)],
         plan=plan,
         left_out=left_out,
         figures=quantities,
     )
 
 
-def update_baselines(guarded: Sequence[GuardedScene], reason: str, progress: Progress) -> list[Baseline]:
+def update_baselines(
+    guarded: Sequence[GuardedScene], reason: str, progress: Progress, engines: Sequence[str] = ()
+) -> list[Baseline]:
     """Measure and write baselines; if one of them fails, no file is written.
 
     Args:
         guarded: the scenes.
         reason: why the baselines are created or updated; stored in each.
         progress: function that receives the name of each stage.
+        engines: names of the engines, as of `make_baseline`.
 
     Raises:
-        CrosscheckError: for a reason that is empty or not text, a scene that cannot be run, an existing file
-            that is no baseline, and a file that cannot be written.
+        CrosscheckError: for a reason that is empty or not text, a scene that cannot be run, an engine that
+            cannot be used, an existing file that is no baseline, and a file that cannot be written.
     """
     reason = " ".join(reason.split())
     try:
@@ -194,7 +211,7 @@ def update_baselines(guarded: Sequence[GuardedScene], reason: str, progress: Pro
     if not reason:
         raise CrosscheckError("--update: the reason is empty; give the text to store with the baseline")
     check_writable(*(each.path for each in guarded))
-    baselines = [make_baseline(each, reason, progress) for each in guarded]
+    baselines = [make_baseline(each, reason, progress, engines) for each in guarded]
     write_files(
         {each.path: baseline.text().encode() for each, baseline in zip(guarded, baselines, strict=True)}
     )

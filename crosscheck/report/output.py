@@ -18,7 +18,7 @@ from typing import Any
 
 from crosscheck.compare.check import LEVELS_OF_RUNS, Check
 from crosscheck.compare.result import EngineComparison
-from crosscheck.engines.registry import ENGINES
+from crosscheck.engines.registry import NAME, names
 from crosscheck.report.render import as_json, markdown
 from crosscheck.report.run import junit
 from crosscheck.report.table import Report
@@ -90,7 +90,7 @@ def write(
     in_folder = {path: content for path, content in contents.items() if path.parent == folder}
     summary, test_cases = folder / SUMMARY, folder / TEST_CASES
     # Files of earlier results
-    without_run = {*ENGINES, *(engine.name for engine in result.engines)} - result.trajectories.keys()
+    without_run = {*names(), *_earlier_runs(summary)} - result.trajectories.keys()
     stale = [summary, *(folder / f"{engine}.npz" for engine in without_run)]
     default_recording = folder / f"{name}.rrd"
     if recording != default_recording:
@@ -195,12 +195,26 @@ def check_no_other_results(folder: Path, sources: Sequence[str], results: str = 
 
 def _sources(path: Path) -> list[str]:
     """Read the names or files of the models that a result file is about; empty if it is no result file."""
+    content = _content(path)
+    if content is None:
+        return []
+    # The file is about one model, or about two that are compared
+    models = [content]
+    if isinstance(content.get("models"), list):
+        models = [model for model in content["models"] if isinstance(model, dict)]
+    return [str(model.get("source") or "an unknown model") for model in models]
+
+
+def _earlier_runs(path: Path) -> set[str]:
+    """Read the names of the engines of a summary, also of engines that are no longer installed."""
+    engines = (_content(path) or {}).get("engines")
+    return {name for name in engines if NAME.fullmatch(name)} if isinstance(engines, dict) else set()
+
+
+def _content(path: Path) -> dict[str, Any] | None:
+    """Read a result file; None if there is none, or if it is no JSON of a result."""
     try:
         content = json.loads(read_content(path, "result_size"))  # at most as large as the limit of this name
     except (SourceError, ValueError, RecursionError):
-        return []
-    # The file is about one model, or about two that are compared
-    models = [content] if isinstance(content, dict) else []
-    if models and isinstance(content.get("models"), list):
-        models = [model for model in content["models"] if isinstance(model, dict)]
-    return [str(model.get("source") or "an unknown model") for model in models]
+        return None
+    return content if isinstance(content, dict) else None

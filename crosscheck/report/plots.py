@@ -15,8 +15,7 @@ import numpy as np
 
 from crosscheck.compare.check import CONSTRAINT_VIOLATION, POSES
 from crosscheck.engines.engine import OTHER_LINE
-from crosscheck.engines.palette import palette
-from crosscheck.engines.registry import ENGINES
+from crosscheck.engines.palette import line_of, palette
 from crosscheck.own_run.allowed import OWN_RUN
 from crosscheck.report.table import seconds
 from newton_euler.model.euler_parameters import angle_between
@@ -161,8 +160,7 @@ def png(figure: Figure, dpi: int = 100) -> bytes:
 
 def draw_curve(ax: Axes, engine: str, color: str, time: Array, values: Array) -> None:
     """Draw values (n,) over times (n,), s, in the style of an engine."""
-    lines = {name: each.line for name, each in ENGINES.items()} | {OWN_RUN: SOLID, LOG: SOLID}
-    dash, width = lines.get(engine, OTHER_LINE)
+    dash, width = SOLID if engine in (OWN_RUN, LOG) else line_of(engine) or OTHER_LINE
     ax.plot(time, values, color=color, linestyle=dash, linewidth=width, label=engine)
 
 

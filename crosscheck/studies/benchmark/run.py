@@ -104,7 +104,7 @@ def bench(
     check_no_source(paths, [wanted.source])
     check_writable(*paths)
     # Measure; the load of the machine by other programs is that before the measurement
-    machine_data = machine()
+    machine_data = machine(wanted.engines)
     found = measure_kind(wanted, progress)
     # Make the report and write the files
     processor, cores, load = (machine_data[name] for name in ("processor", "cores", "load"))

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from crosscheck.engines.engine import Engine
 from crosscheck.engines.versions import versions
 from crosscheck.support.units import TIME_UNITS, quantity_text
 from newton_euler.codegen.compile import garbage_collection_off
@@ -77,15 +78,15 @@ def time_alternately(
     return [tuple(row) for row in times]
 
 
-def machine() -> dict[str, Any]:
+def machine(engines: Iterable[Engine]) -> dict[str, Any]:
     """Describe the machine: processor, number of cores, mean number of running processes in the last minute
-    (load), system, and versions of packages."""
+    (load), system, and versions of packages, also those of engines."""
     return {
         "processor": _processor(),
         "cores": os.cpu_count(),
         "load": round(os.getloadavg()[0], 2),
         "system": f"{platform.system()} {platform.machine()}",
-        "versions": versions(),
+        "versions": versions(engines),
     }
 
 

@@ -12,7 +12,7 @@ import platform
 from collections.abc import Sequence
 from pathlib import Path
 
-from crosscheck.engines.registry import SOLVER
+from crosscheck.engines.registry import ENGINES, SOLVER
 from crosscheck.engines.versions import versions
 from crosscheck.report import render
 from crosscheck.report.table import (
@@ -49,7 +49,7 @@ def report(results: Sequence[CaseResult], full: bool, wall_time: float) -> Repor
         wall_time: duration of the test, s.
     """
     form = "full" if full else "ci"
-    made_with = ", ".join(f"{name} {number}" for name, number in versions().items())
+    made_with = ", ".join(f"{name} {number}" for name, number in versions(ENGINES.values()).items())
     preface = (
         f"Made by `crosscheck stress --{form}` in {wall_time / 60.0:.1f} minutes on {PROCESSES} processes "
         f"({platform.machine()}; {made_with}). Each case measures one value of one engine at one setting. "

@@ -13,11 +13,12 @@ import pytest
 from command_line import run
 
 from crosscheck.compare.check import ERROR_PER_CHANGE
+from crosscheck.engines.registry import ENGINES
 from crosscheck.library import load
 from crosscheck.library.scene_file import write_scene
 from crosscheck.regress import measure
 from crosscheck.regress import run as regress
-from crosscheck.regress.baseline import OWN_RUN_GROUP, StoredQuantity, UpdateRecord, read_baseline
+from crosscheck.regress.baseline import StoredQuantity, UpdateRecord, read_baseline
 from crosscheck.regress.compare import (
     MODEL_FILE,
     Comparison,
@@ -205,7 +206,7 @@ def measured(swing):
 
 def test_every_group_measures_the_pendulum_as_mechanics_has_it(swing, measured):
     assert measured.left_out == {}
-    assert measured.groups == [group for group in measure.GROUPS if group != OWN_RUN_GROUP]
+    assert measured.groups == measure.groups_with(ENGINES)[:-1]  # without OWN_RUN_GROUP
     assert measured.plan.rtol == {"relative": 1e-12, "cartesian": 1e-12, "Radau": 1e-10}
     # at rest and released a pendulum falls along its circle: g times the sine, so less than g
     start = measured.find("relative", "start: linear acceleration").array
@@ -220,7 +221,7 @@ def test_every_group_measures_the_pendulum_as_mechanics_has_it(swing, measured):
 def test_a_millionth_of_gravity_is_seen_in_every_engine(swing, measured):
     heavier = replace(swing, gravity=swing.gravity * (1.0 + 1e-6))
     found = compare(heavier, measured, lambda _: None)
-    assert {check.level for check in found.moved} == set(measure.GROUPS) - {OWN_RUN_GROUP}
+    assert {check.level for check in found.moved} == set(measured.groups)
     assert found.diverges is not None
     assert 0.0 < found.diverges <= swing.duration
     assert "MOVED" in found.verdict

@@ -35,7 +35,7 @@ ROOT = Path(__file__).parents[3]
 def small_baseline():
     state = StoredState.of(State(*(np.zeros((2, n)) for n in (3, 4, 3, 3))))
     return Baseline(
-        scene="tracker", options={}, history=[UpdateRecord.now("first")], left_out={},
+        scene="tracker", options={}, history=[UpdateRecord.now("first", [])], left_out={},
         plan=MeasurementPlan(rtol={"relative": 1e-9}, step=0.1, time=0.0, state=state),
         figures=[
             StoredQuantity(
@@ -70,8 +70,8 @@ def test_a_baseline_survives_its_file(tmp_path):
         (lambda c: c.update(format=2), "format: another version of crosscheck wrote the file"),
         (lambda c: c["history"][0].update(reason=""), "history.0.reason"),
         (
-            lambda c: c["figures"][0].update(group="speed"),
-            "figures.0.group: 'speed' is no group; ",
+            lambda c: c["figures"][0].update(group="Speed"),
+            "figures.0.group: 'Speed' is no group; ",
         ),
         (lambda c: c["figures"][0].update(tolerance=[1.0, 1.0]), "figures.0: tolerance has 2 numbers"),
         (

@@ -265,7 +265,7 @@ def test_a_benchmark_is_written_as_json_and_picture(tracker, tmp_path, capsys, m
 
 
 def test_the_record_of_the_machine_names_processor_cores_and_versions():
-    found = machine()
+    found = machine(ENGINES.values())
     assert found["processor"]
     assert found["cores"] >= 1
     assert {"numpy", "mujoco", "pin", "scipy"} <= found["versions"].keys()

@@ -1,0 +1,120 @@
+"""Engines besides the default ones in every command: a toy, whose functions are those of newton_euler."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import pytest
+from command_line import run
+
+from crosscheck.compare.outcome import Outcome
+from crosscheck.engines.limits import Limit
+from crosscheck.engines.palette import line_of, palette
+from crosscheck.engines.registry import ENGINES, SOLVER
+from crosscheck.library import load
+from crosscheck.pytest_plugin import CheckedModel
+from crosscheck.regress import measure
+from crosscheck.regress.baseline import read_baseline
+from crosscheck.regress.compare import compare
+from crosscheck.regress.report import junit, report
+from crosscheck.regress.run import GuardedScene, engines_of, update_baselines
+from crosscheck.support.colors import OTHER_COLORS
+from crosscheck.support.errors import CrosscheckError
+from crosscheck.verdict import check
+
+TOY = replace(SOLVER, name="toy", package="click", color="", line=(":", 3.0))
+OWN_COLOR = replace(TOY, name="colored", color="#123456")
+
+
+def test_colors_and_lines_of_an_engine_do_not_depend_on_those_beside_it(with_engines):
+    with_engines(OWN_COLOR, TOY)
+    alone, beside = palette(["toy"]), palette(["other", "colored", "mujoco", "toy"])
+    assert alone["toy"] == beside["toy"] == OTHER_COLORS[2]
+    assert beside["colored"] == "#123456"
+    assert beside["mujoco"] == ENGINES["mujoco"].color
+    assert beside["other"] == OTHER_COLORS[0]
+    assert line_of("toy") == (":", 3.0)
+    assert line_of("baseline") is None
+
+
+def test_runs_of_engines_of_an_earlier_result_are_removed(with_engines, capsys, tmp_path):
+    with_engines(TOY)
+    arguments = ("run", "pendulum", "--output", tmp_path, "--engines")
+    run(capsys, *arguments, "toy,newton_euler")
+    assert "click" in json.loads((tmp_path / "summary.json").read_text())["versions"]
+    assert (tmp_path / "toy.npz").exists()
+    with_engines()  # no longer installed
+    run(capsys, *arguments, "newton_euler")
+    assert [path.name for path in tmp_path.glob("*.npz")] == ["newton_euler.npz"]
+    assert "click" not in json.loads((tmp_path / "summary.json").read_text())["versions"]
+
+
+# Baselines
+
+
+@pytest.fixture
+def guarded(with_engines, monkeypatch, tmp_path):
+    """A pendulum whose baseline has newton_euler's accelerations and those of two other engines."""
+    with_engines(TOY, OWN_COLOR)
+    monkeypatch.setattr(measure, "GROUPS", {name: measure.GROUPS[name] for name in ("relative", "own_run")})
+    scene = replace(load("pendulum"), duration=0.1)
+    guarded = GuardedScene("pendulum", {}, scene, tmp_path / "baseline.json")
+    update_baselines([guarded], "first", lambda _: None, ["newton_euler", "toy", "colored"])
+    return guarded
+
+
+def test_a_baseline_has_the_engines_that_are_named(guarded, with_engines):
+    stored = read_baseline(guarded.path)
+    assert stored.groups == ["relative", "toy", "colored"]
+    assert engines_of(guarded) == ["newton_euler", "toy", "colored"]
+    assert "click" in stored.last_update.versions
+    assert "mujoco" not in stored.last_update.versions
+    update_baselines([guarded], "again", lambda _: None)  # the engines are those of the baseline
+    assert read_baseline(guarded.path).groups == stored.groups
+    with_engines(TOY)
+    with pytest.raises(CrosscheckError, match=r"engine 'colored'.*--engines"):
+        update_baselines([guarded], "again", lambda _: None)
+
+
+def test_an_engine_of_a_baseline_that_is_not_installed_is_not_measured(guarded, with_engines):
+    old = replace(OWN_COLOR, min_version="9999")
+    for engines, reason in (([TOY], "engine 'colored' is not installed"), ([TOY, old], "click>=9999")):
+        with_engines(*engines)
+        found = compare(guarded.scene, guarded.baseline(), lambda _: None)
+        assert not found.moved
+        assert {check.level for check in found.checks} == {"relative", "toy"}
+        assert [*found.not_measured] == ["colored"]
+        assert reason in found.not_measured["colored"]
+        assert reason in found.verdict
+        assert found.outcome is Outcome.QUIET_OF_SOME_ENGINES
+        assert found.outcome.exit_status(allow_reduced=True) == 3
+        suite = ElementTree.fromstring(junit(report([found], {}, {})))
+        (failure,) = suite.iter("failure")
+        assert reason in failure.get("message")
+
+
+def test_an_engine_that_fails_now_has_moved(guarded, with_engines):
+    with_engines(replace(TOY, limits=lambda scene: [Limit("joint 'pivot'", "no hinges")]), OWN_COLOR)
+    found = compare(guarded.scene, guarded.baseline(), lambda _: None)
+    assert {check.level for check in found.moved} == {"toy"}
+    assert all("no hinges" in check.problem for check in found.moved)
+
+
+def test_a_baseline_of_a_test_suite_has_the_engines_that_the_test_names(guarded, with_engines):
+    guarded.path.unlink()
+    verdict, folder = check(guarded.scene, ["newton_euler", "toy"]), guarded.path.parent
+    CheckedModel(verdict, folder, "first", folder).assert_unchanged()
+    stored = read_baseline(folder / "pendulum.baseline.json")
+    assert stored.engines == ["mujoco", "pinocchio", "toy"]
+    CheckedModel(verdict, folder, None, folder).assert_unchanged()
+    with_engines()
+    with pytest.raises(pytest.fail.Exception, match="engine 'toy' is not installed"):
+        CheckedModel(verdict, folder, None, folder).assert_unchanged()
+
+
+def test_engines_of_baselines_are_chosen_when_they_are_made(capsys, tmp_path):
+    status, out, err = run(capsys, "regress", "pendulum", "--engines", "mujoco", "--output", tmp_path)
+    assert (status, out) == (2, "")
+    assert "--update" in err
