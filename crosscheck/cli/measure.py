@@ -316,6 +316,7 @@ def workspace_command(
     show_default=True,
     help="Run all cases, or the short selection for CI.",
 )
+@engines_option
 @folder_option("output/stress")
 @click.option(
     "--only",
@@ -324,19 +325,27 @@ def workspace_command(
     metavar="LETTERS",
     help="Run these topics only, such as bh.  [default: all]",
 )
-def stress_command(full: bool, output: Path, letters: str) -> int:
-    """Stress-test all engines with extreme parameter values and report where each engine fails."""
+def stress_command(full: bool, engines: list[str] | None, output: Path, letters: str) -> int:
+    """Stress-test engines with extreme parameter values and report where each engine fails.
+
+    A case whose scene an engine cannot express is counted apart, neither as passed nor as failed.
+    """
+    from crosscheck.engines.engine import Engine
+    from crosscheck.engines.registry import ENGINES, choose
+    from crosscheck.engines.usable import divide
     from crosscheck.studies.stress.report import STRESS_FILES, report, write
     from crosscheck.studies.stress.topics import stress
     from crosscheck.support.files import check_writable
 
     check_writable(*(output / name for name in STRESS_FILES))
+    usable, errors = divide(choose(engines or list(ENGINES)), Engine.stress)
+    left_out = {name: str(error) for name, error in errors.items()}
     start = time.perf_counter()
     with progress_shown() as progress:
-        rows = stress(letters, full, progress)
+        rows = stress(letters, full, usable, progress)
         wall_time = time.perf_counter() - start
         progress("writing")
-        found = report(rows, full, wall_time)
+        found = report(rows, full, wall_time, usable, left_out)
         written = write(rows, found, full, output)
     click.echo(terminal(found.parts), nl=False)
     say("wrote " + ", ".join(str(path) for path in written))

@@ -26,7 +26,7 @@ from crosscheck.compare.wording import verdict_of
 from crosscheck.engines.engine import Engine
 from crosscheck.engines.engine_runs import Stop, collecting_errors, run_engines, stops_text
 from crosscheck.engines.limits import require_expressed
-from crosscheck.engines.registry import ENGINES, EngineError
+from crosscheck.engines.usable import divide
 from crosscheck.own_run.judge import Judgement, judge
 from crosscheck.support.errors import CrosscheckError, reason_of
 from crosscheck.support.time_limits import SHORTER_RUN_ADVICE, limited
@@ -215,25 +215,16 @@ def _usable_engines(scene: Scene, engines: Sequence[Engine]) -> tuple[list[Engin
     Raises:
         NewtonEulerError: the error of the first engine, if no engine can represent the scene.
     """
-    usable: list[Engine] = []
-    errors: dict[str, Exception] = {}
-    for engine in engines:
-        refined = lru_cache(_naming_refined_run(engine))
-        cached = replace(engine, refined=refined, systems=lru_cache(engine.systems))
-        try:
-            require_expressed(engine.name, engine.limits(scene))
-            cached.systems(scene)
-        except (NewtonEulerError, EngineError) as error:
-            errors[engine.name] = error
-        except Exception as error:
-            if engine.name in ENGINES:
-                raise
-            # a fault of another package leaves the other engines untouched
-            errors[engine.name] = EngineError(f"{engine.name}: {reason_of(error)}")
-        else:
-            usable.append(cached)
-    if not usable:
-        raise errors[engines[0].name]
+
+    def make_equations(engine: Engine) -> None:
+        require_expressed(engine.name, engine.limits(scene))
+        engine.systems(scene)
+
+    cached = [
+        replace(engine, refined=lru_cache(_naming_refined_run(engine)), systems=lru_cache(engine.systems))
+        for engine in engines
+    ]
+    usable, errors = divide(cached, make_equations)
     return usable, {name: str(error) for name, error in errors.items()}
 
 

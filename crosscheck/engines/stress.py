@@ -24,7 +24,7 @@ class StressSettings(NamedTuple):
         topics: settings by topic; `typical` is used for topics that are missing.
         long_runs: settings of long runs.
         stepped: settings without a step, whose largest usable step is searched.
-        adaptive: settings without a tolerance, whose loosest usable one is searched.
+        adaptive: settings without a tolerance, whose loosest usable one, `rtol` and `atol`, is searched.
         step_option: name of the option that is the step, s.
         at_step: returns the usual setting at a step, s; None if its steps follow from tolerances.
         position_error: m, error that runs may have on a machine of some decimeters.

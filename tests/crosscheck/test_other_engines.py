@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -10,6 +11,7 @@ import pytest
 from command_line import run
 
 from crosscheck.compare.outcome import Outcome
+from crosscheck.engines.engine import no_systems
 from crosscheck.engines.limits import Limit
 from crosscheck.engines.palette import line_of, palette
 from crosscheck.engines.registry import ENGINES, SOLVER
@@ -20,6 +22,8 @@ from crosscheck.regress.baseline import read_baseline
 from crosscheck.regress.compare import compare
 from crosscheck.regress.report import junit, report
 from crosscheck.regress.run import GuardedScene, engines_of, update_baselines
+from crosscheck.studies.stress import cases
+from crosscheck.studies.stress.topics import TOPICS, cases_of
 from crosscheck.support.colors import OTHER_COLORS
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.verdict import check
@@ -49,6 +53,56 @@ def test_runs_of_engines_of_an_earlier_result_are_removed(with_engines, capsys, 
     run(capsys, *arguments, "newton_euler")
     assert [path.name for path in tmp_path.glob("*.npz")] == ["newton_euler.npz"]
     assert "click" not in json.loads((tmp_path / "summary.json").read_text())["versions"]
+
+
+# Stress tests
+
+
+def no_loops(scene):
+    """The limits of an engine for chains alone."""
+    joints, bodies = scene.mechanism.joint_names, scene.mechanism.body_names
+    return [Limit(f"joint {joints[-1]!r}", "no loops")] if len(joints) >= len(bodies) else []
+
+
+def broken():
+    raise RuntimeError("no license")
+
+
+def test_stress_tests_of_an_engine_that_cannot_express_all(with_engines, capsys, monkeypatch, tmp_path):
+    unusable = replace(TOY, name="unusable", stress_settings=broken)
+    toy = replace(TOY, limits=no_loops, stress_settings=None)  # by its default run alone
+    with_engines(toy, unusable)
+    monkeypatch.setattr(cases, "run_in_processes", lambda run, tasks, *_, **options: map(run, tasks))
+    arguments = ("stress", "--ci", "--only", "fj", "--output", tmp_path)
+    status, out, _ = run(capsys, *arguments, "--engines", "toy,unusable")
+    assert status == 0
+    assert re.search("^unusable: .*no license$", out, re.MULTILINE)
+    rows = json.loads((tmp_path / "stress.json").read_text())["rows"]
+    assert {row["engine"] for row in rows} == {"toy"}
+    loops = [row for row in rows if row["name"].startswith("four_bar")]
+    assert {(row["verdict"], row["passes"]) for row in loops} == {("not expressed", None)}
+    others = [row for row in rows if row not in loops]
+    assert all(row["passes"] for row in others)
+    assert any("not expressed" in row["reason"] for row in others)  # a part of the random mechanisms
+    expected = {"(f) mass": f"{len(others) - 2} of {len(others) - 2}", "(j) random": "2 of 2"}
+    passed = json.loads((tmp_path / "stress.json").read_text())["passed"]
+    assert {title[:8]: counts["toy"] for title, counts in passed.items()} == {
+        title[:8]: counts for title, counts in expected.items()
+    }
+    assert f"{len(others)} of {len(others)} cases pass; {len(loops)} not expressed" in out
+
+
+def test_every_topic_has_cases_of_an_engine_with_no_settings(with_engines):
+    bare = replace(TOY, stress_settings=None, systems=no_systems)
+    with_engines(bare)
+    for letter in set(TOPICS) - {"a", "b"}:  # settings of long runs, and of steps to search
+        for full in (True, False):
+            found = cases_of(letter, full, [bare])
+            assert {case.setting.engine for case in found} - {"all"} == {"toy"}
+    result = cases.run_case(next(iter(cases_of("j", False, [bare]))))
+    assert result.verdict == "not expressed"
+    result = cases.run_case(next(iter(cases_of("i", False, [bare]))))
+    assert result.passes
 
 
 # Baselines

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
+from crosscheck.engines.limits import CannotExpressError
 from crosscheck.studies.stress.runs import Setting
 from crosscheck.support.processes import ProcessLostError, run_in_processes
 from newton_euler.errors import NewtonEulerError
@@ -23,9 +24,10 @@ from newton_euler.model.trajectory import Trajectory
 PROCESSES = 2
 """Number of processes that run cases at the same time."""
 
-Verdict = Literal["survives", "degrades", "fails", "refuses"]
+Verdict = Literal["survives", "degrades", "fails", "refuses", "not expressed"]
 """Result of a case: "survives" for a value within its bound, "degrades" within a wider bound, "fails" beyond
-both, "refuses" for an error that names the cause."""
+both, "refuses" for an error that names the cause, "not expressed" for a scene that the engine cannot express,
+so that the case says nothing of it."""
 
 Progress = Callable[[str], None]
 """Function that shows one line on the progress of the test."""
@@ -144,6 +146,11 @@ class CaseResult:
     wall_time: float = 0.0
 
     @property
+    def expressed(self) -> bool:
+        """False if the engine cannot express the scene of the case."""
+        return self.verdict != "not expressed"
+
+    @property
     def passes(self) -> bool:
         """True if the engine gives an accurate answer, or raises an error in a case without an answer."""
         return self.verdict == ("survives" if self.case.bound.has_answer else "refuses")
@@ -164,7 +171,7 @@ class CaseResult:
             "bound_reason": bound.reason,
             "verdict": self.verdict,
             "reason": self.reason,
-            "passes": self.passes,
+            "passes": self.passes if self.expressed else None,
             "wall_time": self.wall_time,
         }
 
@@ -194,6 +201,8 @@ def run_case(case: Case) -> CaseResult:
         verdict = case.bound.verdict(value)
         if not case.bound.has_answer:
             reason = f"completes without an error, {reason}".rstrip(", ")
+    except CannotExpressError as error:
+        verdict, reason = "not expressed", str(error)
     except NewtonEulerError as error:
         reason = str(error)
         missing = [text for text in case.required_texts if text not in reason]

@@ -9,12 +9,13 @@ cannot move it, as at the dead centers of a slider-crank.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
+from crosscheck.engines.engine import Engine
 from crosscheck.engines.registry import SOLVER
 from crosscheck.library import load
 from crosscheck.studies.stress.cases import (
@@ -75,13 +76,14 @@ VIOLATED_START = refusal("constraint violation at the start", "m or rad")
 violation (m or rad) that newton_euler accepts at a start: the engine must raise an error."""
 
 
-def violated_start_cases(full: bool) -> Iterator[Case]:
+def violated_start_cases(full: bool, engines: Sequence[Engine]) -> Iterator[Case]:
     """Yield the cases of topic (g), all of them or (unless `full`) the short form."""
     for offset in START_OFFSETS if full else START_OFFSETS[1::2]:
         name = f"tracker, bodies {offset:.0e} m and rad off"
         # The assembly of a violating state
-        setting = Setting(SOLVER.name, {"function": "assemble"})
-        yield Case(name, setting, ASSEMBLED, partial(measure_assembled_violation, offset))
+        if SOLVER in engines:
+            setting = Setting(SOLVER.name, {"function": "assemble"})
+            yield Case(name, setting, ASSEMBLED, partial(measure_assembled_violation, offset))
         # A scene with a violating initial state, which must raise an error before any engine runs
         if offset > CLOSURE_TOLERANCE:
             setting = Setting("all", {"argument": "Scene(initial_state=...)"})
@@ -102,7 +104,7 @@ def violated_start_cases(full: bool) -> Iterator[Case]:
             degrades=degraded,
             reason=reason,
         )
-        for setting in settings_of("starts"):
+        for setting in settings_of(engines, "starts"):
             run = partial(measure_end_violation, offset)
             yield Case(f"{name}, unchecked, {START_DURATION:g} s", setting, bound, run, time_limit=40.0)
 
@@ -194,11 +196,11 @@ UNREACHABLE_TARGETS = (-0.2, 0.2)
 as far."""
 
 
-def singular_cases(full: bool) -> Iterator[Case]:
+def singular_cases(full: bool, engines: Sequence[Engine]) -> Iterator[Case]:
     """Yield the cases of topic (h), all of them or (unless `full`) the short form."""
-    settings = settings_of("singular" if full else None)
+    settings = settings_of(engines, "singular" if full else None)
     for windows in WINDOWS if full else WINDOWS[:2]:
-        for setting in settings if windows < 10 else settings_of():
+        for setting in settings if windows < 10 else settings_of(engines):
             limit = 15.0 if full else 11.0
             passing = with_duration(load("four_bar", N=windows), 5.0, 100, "violation")  # about six passages
             starting = with_flat_start(with_duration(passing, 2.0, 50, "violation"), windows)

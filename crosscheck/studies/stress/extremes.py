@@ -8,12 +8,13 @@ selects all cases rather than the short form of continuous integration.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 
 import numpy as np
 
+from crosscheck.engines.engine import Engine
 from crosscheck.library import load
 from crosscheck.studies.stress.cases import (
     ANGLE_BOUND,
@@ -31,6 +32,7 @@ from crosscheck.studies.stress.runs import (
     parallelogram_error,
     settings_of,
     solver_setting,
+    steps_text,
     symmetric_top,
     top_error,
     with_duration,
@@ -60,14 +62,14 @@ STIFF_BOUND = Bound(
 """Bound on the distance from the reference motion."""
 
 
-def stiff_gain_cases(full: bool) -> Iterator[Case]:
+def stiff_gain_cases(full: bool, engines: Sequence[Engine]) -> Iterator[Case]:
     """Yield the cases of topic (e), all of them or (unless `full`) the short form.
 
     The short form has two pairs of gains and simulates 0.1 s, long enough for the stiff part of the motion.
     """
     duration, limit = (0.5, 9.0) if full else (0.1, 5.0)  # s; the limit is CPU time
     for stiffness, damping in GAINS if full else GAINS[2:4]:
-        for setting in settings_of("stiff gains"):
+        for setting in settings_of(engines, "stiff gains"):
             name = f"tracker, {duration:g} s, K_p {stiffness:g}, K_d {damping:g}"
             measure = partial(measure_distance_from_reference, stiffness, damping, duration)
             yield Case(name, setting, STIFF_BOUND, measure, time_limit=limit)
@@ -101,7 +103,7 @@ def measure_distance_from_reference(
     """
     scene, reference = stiff_tracker(stiffness, damping, duration)
     run = setting.simulate(scene)
-    return Measurement(largest_distance(run, reference), f"{run.settings['steps']} steps")
+    return Measurement(largest_distance(run, reference), steps_text(run))
 
 
 # (f) Extreme mass ratios, and extreme moments of inertia. No principal moment of a rigid body exceeds the sum
@@ -123,10 +125,10 @@ TOP_ANGULAR_VELOCITY = np.array([0.3, -0.7, 1.1])
 """Initial angular velocity (3,) of the tops, rad/s, in the body frame."""
 
 
-def mass_ratio_cases(full: bool) -> Iterator[Case]:
+def mass_ratio_cases(full: bool, engines: Sequence[Engine]) -> Iterator[Case]:
     """Yield the cases of topic (f), all of them or (unless `full`) the short form."""
     for ratio in MASS_RATIOS if full else (1e-8, 1.0, 1e8):
-        for setting in settings_of("masses" if full else None):
+        for setting in settings_of(engines, "masses" if full else None):
             # Four-bar linkage of N = 1 loop, for 0.5 s: in this time the bars do not reach the singular flat
             # configuration
             loop = with_duration(_changed(load("four_bar", N=1), "coupler_0", ratio), 0.5, periods=10)
@@ -148,7 +150,7 @@ def mass_ratio_cases(full: bool) -> Iterator[Case]:
     # Symmetric tops
     duration = 10.0 if full else 2.0
     for name, moments in LIMIT_INERTIAS.items():
-        for setting in settings_of():
+        for setting in settings_of(engines):
             measure = partial(
                 simulate_and_measure, symmetric_top(*moments, TOP_ANGULAR_VELOCITY, duration), top_error
             )
@@ -257,9 +259,9 @@ WITH_ANSWER: dict[str, tuple[float, float]] = {
 """Cases with an answer: force F, N, on the block, and mass m, kg. The velocity after t = 1 s is F t / m."""
 
 
-def floating_point_cases(full: bool) -> Iterator[Case]:
+def floating_point_cases(full: bool, engines: Sequence[Engine]) -> Iterator[Case]:
     """Yield the cases of topic (k), all of them or (unless `full`) those of the typical settings."""
-    for setting in settings_of("numbers" if full else None):
+    for setting in settings_of(engines, "numbers" if full else None):
         for name, (_, texts) in WITHOUT_ANSWER.items():
             yield Case(
                 name, setting, NO_END_POSITION, partial(measure_end_position, name), required_texts=texts

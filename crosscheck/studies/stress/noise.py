@@ -8,13 +8,13 @@ these cases as topic (l).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from crosscheck.engines.registry import choose
+from crosscheck.engines.engine import Engine
 from crosscheck.library import load
 from crosscheck.studies.stress.cases import Bound, Case, Measurement
 from crosscheck.studies.stress.runs import (
@@ -136,15 +136,15 @@ MECHANISMS: dict[str, Callable[[float], Scene]] = {
 """Function of the noise that makes a mechanism, by name."""
 
 
-def cases(full: bool) -> Iterator[Case]:
+def cases(full: bool, engines: Sequence[Engine]) -> Iterator[Case]:
     """Yield all cases or, unless `full`, a few of them."""
     reason = "the effect of the noise; beyond a centimeter the motion is a different one"
+    errors = {engine.name: engine.stress().position_error for engine in engines}
     for name in MECHANISMS if full else ("flat_four_bar", "bricard"):
-        settings = settings_of("noise" if full and name == "flat_four_bar" else None)
+        settings = settings_of(engines, "noise" if full and name == "flat_four_bar" else None)
         for noise in NOISES if full else (1e-12, 1e-6):
             for setting in settings:
-                error = choose([setting.engine])[0].stress().position_error
-                largest = error + NOISE_SENSITIVITY * noise
+                largest = errors[setting.engine] + NOISE_SENSITIVITY * noise
                 bound = Bound("distance to the design", "m", survives=largest, degrades=1e-2, reason=reason)
                 yield Case(f"{name}, noise {noise:.0e}, 0.3 s", setting, bound, partial(measure, name, noise))
 

@@ -18,7 +18,9 @@ import numpy as np
 from crosscheck.compare.check import Check
 from crosscheck.compare.levels import compare_pair
 from crosscheck.compare.samples import Samples, States
-from crosscheck.engines.registry import ENGINES, SOLVER, choose
+from crosscheck.engines.engine import Engine
+from crosscheck.engines.limits import CannotExpressError, Limit, require_expressed
+from crosscheck.engines.registry import SOLVER, choose
 from crosscheck.studies.random_scenes import STANDARD_GRAVITY, random_scene
 from crosscheck.studies.stress.cases import Bound, Case, Measurement
 from crosscheck.studies.stress.runs import Setting
@@ -58,32 +60,33 @@ TOLERANCE_RATIO = Bound(
 
 Values above the tolerance are failures, not merely inaccurate (`degrades`)."""
 
-COMPARED_SYSTEMS = (
-    Setting(SOLVER.name, {"formulation": "cartesian"}),
-    *(Setting(name, {"equations": "rigid constraints"}) for name in ENGINES if name != SOLVER.name),
-)
-"""Equations that are compared with newton_euler's equations in joint coordinates.
-
-The options are for the report; `_system` chooses the equations by the engine's name."""
-
 NATIVE_SETTINGS = tuple(
     Setting(SOLVER.name, {"formulation": name, "code": "native"}) for name in FORMULATIONS
 )
 """Native code of both formulations of newton_euler, compared with the equations evaluated in Python."""
 
 
-def cases(full: bool) -> Iterator[Case]:
+def compared_systems(engines: Sequence[Engine]) -> tuple[Setting, ...]:
+    """Return the equations of engines that are compared with newton_euler's in joint coordinates.
+
+    The options are for the report; `_system` chooses the equations by the engine's name.
+    """
+    cartesian, rigid = {"formulation": "cartesian"}, {"equations": "rigid constraints"}
+    return tuple(Setting(each.name, cartesian if each is SOLVER else rigid) for each in engines)
+
+
+def cases(full: bool, engines: Sequence[Engine]) -> Iterator[Case]:
     """Yield the cases of topic (j): 1000 mechanisms, or (unless `full`) 40 mechanisms."""
     count = 1000 if full else 40
     for start in range(0, count, MECHANISMS_PER_CASE):
         numbers = range(start, start + MECHANISMS_PER_CASE)
-        for setting in COMPARED_SYSTEMS:
+        for setting in compared_systems(engines):
             name = f"random mechanisms {start} to {start + MECHANISMS_PER_CASE - 1}"
             yield Case(
                 name, setting, TOLERANCE_RATIO, partial(measure, RANDOM_SEED, numbers), time_limit=60.0
             )
     numbers = range(0, count, COMPILED_EVERY)
-    for setting in NATIVE_SETTINGS:
+    for setting in NATIVE_SETTINGS if SOLVER in engines else ():
         name = f"random mechanisms 0 to {numbers[-1]}, every {COMPILED_EVERY}th"
         yield Case(name, setting, TOLERANCE_RATIO, partial(measure, RANDOM_SEED, numbers), time_limit=100.0)
 
@@ -108,16 +111,26 @@ def measure(seed: int, numbers: Sequence[int], setting: Setting) -> Measurement:
     Args:
         seed: seed of the mechanisms.
         numbers: numbers of the mechanisms, see `random_scene`.
-        setting: one of `COMPARED_SYSTEMS` or `NATIVE_SETTINGS`.
+        setting: one of `compared_systems` or `NATIVE_SETTINGS`.
+
+    Raises:
+        CannotExpressError: if the engine can express none of the mechanisms.
     """
-    found = {}
+    found, refusals = {}, list[CannotExpressError]()
     for number in numbers:
-        worst = compare_on_mechanism(_scene(seed, number), setting)
+        try:
+            worst = compare_on_mechanism(_scene(seed, number), setting)
+        except CannotExpressError as error:
+            refusals.append(error)
+            continue
         if worst is not None:
             found[f"random_scene({seed}, {number})"] = worst
+    if refusals and not found:
+        raise refusals[0]
     agree = sum(worst.ratio <= 1.0 for worst in found.values())
     name, worst = max(found.items(), key=lambda item: item[1].ratio)
-    return Measurement(worst.ratio, f"{agree} of {len(found)} agree; worst: {name}, {worst.reason}")
+    note = f"{agree} of {len(found)} agree; worst: {name}, {worst.reason}"
+    return Measurement(worst.ratio, f"{note}; {len(refusals)} not expressed" if refusals else note)
 
 
 @lru_cache(maxsize=2 * MECHANISMS_PER_CASE)
@@ -130,6 +143,9 @@ def compare_on_mechanism(scene: Scene, setting: Setting) -> WorstCheck | None:
     """Compare the equations of an engine with newton_euler's for one mechanism; return the worst check.
 
     None if native code cannot evaluate the state and leaves it to Python.
+
+    Raises:
+        CannotExpressError: if the engine cannot express the mechanism, or has no equations.
     """
     if "code" in setting.options:
         error = native_code_difference(scene, setting.options["formulation"])
@@ -140,6 +156,8 @@ def compare_on_mechanism(scene: Scene, setting: Setting) -> WorstCheck | None:
     try:
         pair = [Samples(Relative(scene), states)], [Samples(_system(setting.engine, scene), states)]
         checks = [check for check in compare_pair(("relative", setting.engine), *pair) if check.judged]
+    except CannotExpressError:
+        raise
     except (NewtonEulerError, CrosscheckError, np.linalg.LinAlgError) as error:
         return WorstCheck(np.inf, str(error))
     worst = max(checks, key=_tolerance_ratio)
@@ -156,7 +174,11 @@ def _system(engine: str, scene: Scene) -> System:
     """Return the equations of motion of a scene by an engine; newton_euler's in Cartesian coordinates."""
     if engine == SOLVER.name:
         return Cartesian(scene)
-    return choose([engine])[0].systems(scene)[0]
+    (chosen,) = choose([engine])
+    require_expressed(engine, chosen.limits(scene))
+    systems = chosen.systems(scene)
+    require_expressed(engine, [] if systems else [Limit("equations of motion", "only its runs are compared")])
+    return systems[0]
 
 
 def native_code_difference(scene: Scene, formulation: str) -> float | None:

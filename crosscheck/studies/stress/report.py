@@ -9,10 +9,12 @@ terminal, `stress.json` and `stress.md` come out. A table row is a topic or a ca
 from __future__ import annotations
 
 import platform
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from crosscheck.engines.registry import ENGINES, SOLVER
+from crosscheck.engines.engine import Engine
+from crosscheck.engines.registry import SOLVER
 from crosscheck.engines.versions import versions
 from crosscheck.report import render
 from crosscheck.report.table import (
@@ -40,16 +42,24 @@ LAST_COLUMN = "all"
 """Name of the engine, and heading of the last column, of cases that do not depend on the engine."""
 
 
-def report(results: Sequence[CaseResult], full: bool, wall_time: float) -> Report:
+def report(
+    results: Sequence[CaseResult],
+    full: bool,
+    wall_time: float,
+    engines: Sequence[Engine],
+    left_out: Mapping[str, str],
+) -> Report:
     """Make the report: numbers of passed cases by engine, and the cases that do not pass, by topic.
 
     Args:
         results: results of all cases.
         full: True if all cases ran, False for the short form.
         wall_time: duration of the test, s.
+        engines: the engines.
+        left_out: reasons by name of the engines that cannot be used.
     """
     form = "full" if full else "ci"
-    made_with = ", ".join(f"{name} {number}" for name, number in versions(ENGINES.values()).items())
+    made_with = ", ".join(f"{name} {number}" for name, number in versions(engines).items())
     preface = (
         f"Made by `crosscheck stress --{form}` in {wall_time / 60.0:.1f} minutes on {PROCESSES} processes "
         f"({platform.machine()}; {made_with}). Each case measures one value of one engine at one setting. "
@@ -57,17 +67,31 @@ def report(results: Sequence[CaseResult], full: bool, wall_time: float) -> Repor
         "An engine refuses if it raises an error with a reason: correct for a case without an answer, "
         "a shortcoming otherwise. All cases, with values and reasons, are in stress.json."
     )
-    parts: list[Part] = [_summary(results), Lines("about", [preface], folded=True)]
+    parts: list[Part] = [_summary(results), *_not_expressed(results)]
+    if left_out:
+        parts.append(Lines("left out", list(left_out.values())))
+    parts.append(Lines("about", [preface], folded=True))
     for letter, topic in TOPICS.items():
         of_topic = [result for result in results if result.case.topic == letter]
         if of_topic:
             bounds = dict.fromkeys(map(_bound, of_topic))
             parts.append(Lines(f"bounds of ({letter})", list(bounds), folded=True))
             parts.append(_cases(f"({letter}) {topic.title}", of_topic, _engines(of_topic)))
-    passes = sum(result.passes for result in results)
-    return Report(
-        "Stress", f"{passes} of {len(results)} cases pass", judged=Cell(""), parts=parts, wall_time=wall_time
-    )
+    passes, expressed = (sum(getattr(each, name) for each in results) for name in ("passes", "expressed"))
+    verdict = f"{passes} of {expressed} cases pass"
+    if other := len(results) - expressed:
+        verdict += f"; {other} not expressed"
+    return Report("Stress", verdict, judged=Cell(""), parts=parts, wall_time=wall_time)
+
+
+def _not_expressed(results: Sequence[CaseResult]) -> Iterator[Table]:
+    """Tabulate the cases that engines cannot express: a row for each engine and reason."""
+    others = [result for result in results if not result.expressed]
+    counts_of_reasons = Counter((result.case.setting.engine, result.reason) for result in others)
+    if counts_of_reasons:
+        rows: Rows = [[engine, str(n), reason] for (engine, reason), n in counts_of_reasons.items()]
+        heads = [*text_columns("engine"), *number_columns("cases"), *text_columns("reason")]
+        yield Table("not expressed", heads, rows)
 
 
 def _bound(result: CaseResult) -> str:
@@ -85,12 +109,16 @@ def _cases(title: str, results: Sequence[CaseResult], engines: Sequence[str]) ->
     # the last column is below the others on narrow screens; a folded table is shown on demand
     heads = [*text_columns("case"), *number_columns(*engines), Column("not passed", below=True)]
     rows: Rows = []
-    not_passed = dict.fromkeys(result.case.name for result in results if not result.passes)
+    not_passed = dict.fromkeys(
+        result.case.name for result in results if result.expressed and not result.passes
+    )
     for name in not_passed:
         of_case = [result for result in results if result.case.name == name]
-        failing = "; ".join(_failure_text(result) for result in of_case if not result.passes)
+        failing = "; ".join(
+            _failure_text(result) for result in of_case if result.expressed and not result.passes
+        )
         rows.append([name, *(_passes(of_case, engine) for engine in engines), failing])
-    if others := [result for result in results if result.case.name not in not_passed]:
+    if others := [each for each in results if each.case.name not in not_passed and each.expressed]:
         count = len({result.case.name for result in others})
         rows.append([f"{count} others", *(_passes(others, engine) for engine in engines), ""])
     return Table(title, heads, rows, folded=True)
@@ -103,8 +131,9 @@ def _failure_text(result: CaseResult) -> str:
 
 
 def _passes(results: Sequence[CaseResult], engine: str) -> str:
-    """Format the number of cases of an engine that pass; empty if the engine has no case."""
-    passes = [result.passes for result in results if result.case.setting.engine == engine]
+    """Format the number of cases of an engine that pass; empty if the engine expresses no case."""
+    of_engine = [result for result in results if result.case.setting.engine == engine]
+    passes = [result.passes for result in of_engine if result.expressed]
     return f"{sum(passes)} of {len(passes)}" if passes else ""
 
 

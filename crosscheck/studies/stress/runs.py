@@ -7,7 +7,7 @@ independently of the engines, are those of a parallelogram linkage and of a free
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -15,7 +15,9 @@ import numpy as np
 
 from crosscheck.compare.runs import positions_apart
 from crosscheck.engines.energy import Balance, energy_balance
-from crosscheck.engines.registry import ENGINES, SOLVER, choose
+from crosscheck.engines.engine import Engine
+from crosscheck.engines.limits import require_expressed
+from crosscheck.engines.registry import SOLVER, choose
 from crosscheck.engines.stress import Options, StressSettings, Topic
 from newton_euler.model.euler_parameters import angle_between, from_rotation_vector
 from newton_euler.model.euler_parameters import product as quaternion_product
@@ -45,8 +47,13 @@ class Setting:
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def simulate(self, scene: Scene) -> Trajectory:
-        """Simulate a scene with the engine and the options; errors of the engine are passed on."""
+        """Simulate a scene with the engine and the options; errors of the engine are passed on.
+
+        Raises:
+            CannotExpressError: for a scene that the engine cannot express.
+        """
         (engine,) = choose([self.engine])
+        require_expressed(engine.name, engine.limits(scene))
         return engine.simulate(scene, self.options)
 
     def __str__(self) -> str:
@@ -56,12 +63,10 @@ class Setting:
         return ", ".join(texts) or "defaults"
 
 
-def settings_of(topic: Topic | None = None) -> tuple[Setting, ...]:
-    """Return the settings of the default engines for a topic; the typical ones without a topic."""
+def settings_of(engines: Sequence[Engine], topic: Topic | None = None) -> tuple[Setting, ...]:
+    """Return the settings of engines for a topic; the typical ones without a topic."""
     return tuple(
-        Setting(engine.name, options)
-        for engine in ENGINES.values()
-        for options in _options_of(engine.stress(), topic)
+        Setting(engine.name, options) for engine in engines for options in _options_of(engine.stress(), topic)
     )
 
 
@@ -76,6 +81,11 @@ def solver_setting(**options: Any) -> Setting:
     Formulation and stabilization are "relative" (joint coordinates) and "projection" by default.
     """
     return Setting(SOLVER.name, {"formulation": "relative", "stabilization": "projection", **options})
+
+
+def steps_text(run: Trajectory) -> str:
+    """Return the number of steps of a run as text; "" if the engine does not count its steps."""
+    return f"{run.settings['steps']} steps" if "steps" in run.settings else ""
 
 
 REFERENCE_SETTING = solver_setting(rtol=1e-13, atol=1e-15)

@@ -6,10 +6,11 @@ and a function that yields its cases. `crosscheck stress` calls `stress`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+from crosscheck.engines.engine import Engine
 from crosscheck.studies.stress import (
     configurations,
     extremes,
@@ -23,10 +24,10 @@ from crosscheck.support.errors import CrosscheckError
 
 
 class Topic(NamedTuple):
-    """Title of a group of cases, and the function that yields them: all cases if its argument is True."""
+    """Title of a group of cases, and the function that yields those of engines: all if it gets True."""
 
     title: str
-    cases: Callable[[bool], Iterator[Case]]
+    cases: Callable[[bool, Sequence[Engine]], Iterator[Case]]
 
 
 TOPICS = {
@@ -44,12 +45,13 @@ TOPICS = {
 """Topics by letter; c and d were topics that no longer exist."""
 
 
-def stress(letters: str, full: bool, progress: Progress) -> list[CaseResult]:
+def stress(letters: str, full: bool, engines: Sequence[Engine], progress: Progress) -> list[CaseResult]:
     """Run the cases of some topics.
 
     Args:
         letters: letters of topics, as in "ae"; all topics if empty.
         full: True for all cases, False for the short form that continuous integration runs.
+        engines: engines whose settings of stress tests can be loaded.
         progress: called with the number of finished cases.
 
     Returns:
@@ -62,9 +64,9 @@ def stress(letters: str, full: bool, progress: Progress) -> list[CaseResult]:
         if letter not in TOPICS:
             raise CrosscheckError(f"unknown topic {letter!r}; choose from: {', '.join(TOPICS)}")
     wanted = [letter for letter in TOPICS if letter in (letters or TOPICS)]
-    return run_cases([case for letter in wanted for case in cases_of(letter, full)], progress)
+    return run_cases([case for letter in wanted for case in cases_of(letter, full, engines)], progress)
 
 
-def cases_of(letter: str, full: bool) -> list[Case]:
-    """Return the cases of the topic with a letter; `full` as for `stress`."""
-    return [replace(case, topic=letter) for case in TOPICS[letter].cases(full)]
+def cases_of(letter: str, full: bool, engines: Sequence[Engine]) -> list[Case]:
+    """Return the cases of the topic with a letter; other arguments as of `stress`."""
+    return [replace(case, topic=letter) for case in TOPICS[letter].cases(full, engines)]

@@ -9,14 +9,15 @@ from functools import partial
 import numpy as np
 import pytest
 
+from crosscheck.engines.registry import ENGINES
 from crosscheck.studies.random_scenes import KINDS, random_scene
 from crosscheck.studies.stress import random_mechanisms
 from crosscheck.studies.stress.cases import run_case
 from crosscheck.studies.stress.random_mechanisms import (
-    COMPARED_SYSTEMS,
     NATIVE_SETTINGS,
     NATIVE_TOLERANCE,
     compare_on_mechanism,
+    compared_systems,
     measure,
 )
 from crosscheck.studies.stress.topics import stress
@@ -33,8 +34,10 @@ from urdf.proximal import MAX_PROXIMAL_ITERATIONS, regularized
 
 COUNT = 16
 
+COMPARED = compared_systems([*ENGINES.values()])
 
-@pytest.mark.parametrize("setting", COMPARED_SYSTEMS, ids=lambda setting: setting.engine)
+
+@pytest.mark.parametrize("setting", COMPARED, ids=lambda setting: setting.engine)
 def test_engines_agree(setting):
     """At the tolerances of a crosscheck, of which the worst of these takes a tenth."""
     found = measure(0, range(COUNT), setting)
@@ -135,7 +138,7 @@ class Failing(Cartesian):
 )
 def test_an_error_is_found_and_named(monkeypatch, kind, named):
     monkeypatch.setattr(random_mechanisms, "Cartesian", kind)
-    case = next(random_mechanisms.cases(False))
+    case = next(random_mechanisms.cases(False, [ENGINES["newton_euler"]]))
     row = run_case(replace(case, measure=partial(measure, 0, [3])))
     assert (row.verdict, row.passes, np.isinf(row.value)) == ("fails", False, kind is not Wrong)
     assert row.reason.startswith("0 of 1 agree; worst: random_scene(0, 3), ")
@@ -155,16 +158,16 @@ def test_weak_closures_beside_redundant_ones():
 
 def test_every_mechanism_has_a_case_of_every_system():
     found = Counter()
-    for case in random_mechanisms.cases(True):
+    for case in random_mechanisms.cases(True, [*ENGINES.values()]):
         found[case.setting.engine, str(case.setting)] += len(case.measure.args[1])
     assert found == {
         (setting.engine, str(setting)): count
-        for settings, count in ((COMPARED_SYSTEMS, 1000), (NATIVE_SETTINGS, 20))
+        for settings, count in ((COMPARED, 1000), (NATIVE_SETTINGS, 20))
         for setting in settings
     }
 
 
 @pytest.mark.slow
 def test_a_thousand_mechanisms():
-    rows = stress("j", True, lambda line: None)
+    rows = stress("j", True, [*ENGINES.values()], lambda line: None)
     assert [row for row in rows if not row.passes] == []

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from command_line import command, run
 
+from crosscheck.engines.registry import ENGINES, SOLVER
 from crosscheck.library import load
 from crosscheck.library.references import reference_values
 from crosscheck.report.page import write_report
@@ -160,7 +161,7 @@ def test_bisection_finds_where_it_becomes_true(wanted):
 @pytest.mark.parametrize("letter", TOPICS)
 @pytest.mark.parametrize("full", [False, True])
 def test_cases_are_of_their_topic_and_say_why_their_bound(letter, full):
-    cases = cases_of(letter, full)
+    cases = cases_of(letter, full, [*ENGINES.values()])
     assert cases
     assert {found.topic for found in cases} == {letter}
     assert all(found.bound.reason and found.time_limit <= 150.0 for found in cases)
@@ -172,7 +173,7 @@ def test_cases_are_of_their_topic_and_say_why_their_bound(letter, full):
 
 def test_an_unknown_topic_is_refused():
     with pytest.raises(CrosscheckError, match=r"unknown topic 'x'; choose from: a, b"):
-        stress("ax", False, print)
+        stress("ax", False, [*ENGINES.values()], print)
 
 
 # The answers
@@ -258,12 +259,8 @@ def test_bodies_are_put_off_by_as_much_as_asked_for():
 # What newton_euler has to do
 
 
-def newton_euler_cases(cases):
-    return [found for found in cases if found.setting.engine == "newton_euler"]
-
-
 @pytest.mark.parametrize(
-    "trap", newton_euler_cases(extremes.floating_point_cases(True)), ids=lambda c: f"{c.name}, {c.setting}"
+    "trap", [*extremes.floating_point_cases(True, [SOLVER])], ids=lambda c: f"{c.name}, {c.setting}"
 )
 def test_traps(trap):
     """What has no answer is refused; what has one is found, or refused where squares of it overflow."""
@@ -347,7 +344,9 @@ def test_passing_cases_are_counted_by_topic_and_engine(rows):
 
 def test_the_report_counts_what_passes_and_names_what_does_not(rows, tmp_path):
     folder = tmp_path / "out"
-    written = write(rows, report(rows, False, 60.0), False, folder)
+    written = write(
+        rows, report(rows, False, 60.0, [ENGINES["mujoco"]], {"toy": "toy: no license"}), False, folder
+    )
     assert [path.name for path in written] == ["stress.json", "stress.md"]
     text = (folder / "stress.md").read_text()
     (line,) = [line for line in text.splitlines() if line.startswith("| something | 2 of 5 |")]
@@ -355,6 +354,7 @@ def test_the_report_counts_what_passes_and_names_what_does_not(rows, tmp_path):
     lost = [f"{setting}: {verdict}" for verdict in ("degrades 1.0e-03", "fails nan", "refuses")]
     assert line.endswith(f"| {'; '.join(lost)} |")
     assert "for the sake of the test" in text
+    assert "toy: no license" in text
     content = json.loads((folder / "stress.json").read_text(), parse_constant=pytest.fail)
     assert [row["verdict"] for row in content["rows"]] == [row.verdict for row in rows]
     assert content["rows"][2]["value"] == "nan"
