@@ -8,6 +8,7 @@ import re
 from contextlib import redirect_stdout
 from pathlib import Path
 
+import moving_picture
 import pytest
 from pictures import (
     IMAGES,
@@ -111,6 +112,11 @@ def test_the_disagreement(tmp_path, monkeypatch):
 @pytest.mark.parametrize(("name", "plot"), PLOTS.items())
 def test_plots_of_commands(name, plot):
     assert made_from(f"{name}.png") == digest(plot_command(plot)), f"{name}.png {STALE}"
+
+
+def test_the_moving_picture():
+    picture = moving_picture.FILE
+    assert made_from(picture) == digest(moving_picture.content()), f"{picture} {STALE}"
 
 
 def test_all_pictures_are_shown_and_small():

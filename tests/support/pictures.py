@@ -23,6 +23,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import moving_picture
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 from PIL.PngImagePlugin import PngInfo
@@ -92,6 +93,8 @@ def made_from(picture: str) -> str:
         found = re.search(f"<!-- {MADE_FROM} (\\w+) -->", path.read_text())
         return found[1] if found else ""
     with Image.open(path) as image:
+        if path.suffix == ".gif":
+            return bytes(image.info.get("comment", b"")).decode()
         return str(image.text.get(MADE_FROM, ""))
 
 
@@ -369,6 +372,11 @@ def of_plots(folder: Path) -> None:
         save(Image.open(folder / "output" / plot.file), name, command)
 
 
+def of_motion(folder: Path) -> None:
+    """Make the moving one."""
+    moving_picture.save(IMAGES, digest(moving_picture.content()))
+
+
 MAKERS = {
     "runs": of_runs,
     "notebook": of_notebook,
@@ -376,6 +384,7 @@ MAKERS = {
     "benchmark": of_benchmark,
     "paper": of_paper,
     "plots": of_plots,
+    "motion": of_motion,
 }
 """Makers of pictures by name: all, or those that are named on the command line."""
 
