@@ -22,9 +22,12 @@ ALLOWED = {
     "newton_euler": {"newton_euler"},
     "mjcf": {"newton_euler", "mjcf", "mujoco"},
     "urdf": {"newton_euler", "urdf", "pinocchio"},
-    "crosscheck": {"newton_euler", "mjcf", "urdf", "crosscheck", "rerun"},
+    "crosscheck": {"newton_euler", "mjcf", "urdf", "crosscheck", "rerun", "exudyn"},
 }
-WATCHED = {"newton_euler", "mjcf", "urdf", "crosscheck", "mujoco", "pinocchio", "rerun"}
+WATCHED = {"newton_euler", "mjcf", "urdf", "crosscheck", "mujoco", "pinocchio", "rerun", "exudyn"}
+
+OF_ONE_ENGINE = {"exudyn": "crosscheck.engines.exudyn"}
+"""Packages of optional engines, and the package that alone imports each of them."""
 
 
 ROOMS: dict[str, set[str]] = {
@@ -193,6 +196,17 @@ def test_imports_point_one_way(package):
                 assert node.level == 0, f"{source}: relative import"
                 found.add(str(node.module).split(".")[0])
         assert found & WATCHED <= ALLOWED[package], source
+
+
+@pytest.mark.parametrize("package", OF_ONE_ENGINE)
+def test_packages_of_optional_engines_are_imported_by_their_engine_only(package):
+    users = {
+        name
+        for name, source in modules("crosscheck").items()
+        if any(each.module.split(".")[0] == package for each in imports_of(source))
+    }
+    assert users
+    assert {name for name in users if not name.startswith(OF_ONE_ENGINE[package])} == set()
 
 
 @pytest.mark.parametrize("package", ["newton_euler", "mjcf", "urdf", "crosscheck.library", "crosscheck.cli"])

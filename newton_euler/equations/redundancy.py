@@ -206,14 +206,28 @@ def rows_left_out(system: System) -> list[int]:
     elif system.name in known:
         return known[system.name]
     else:
-        from scipy.linalg import qr
-
-        best = max(range(len(found.states)), key=lambda k: found.configurations[k].rank)
-        q, _ = system.coordinates(found.states[best])
-        _, pivots = qr(dimensionless_jacobian(system, q).T, mode="r", pivoting=True)
-        used = pivots[: constraint_rank(system)].tolist()
+        known[system.name] = dependent_rows(system)
+        return known[system.name]
     known[system.name] = sorted(set(range(count)) - set(used))
     return known[system.name]
+
+
+def dependent_rows(system: System) -> list[int]:
+    """Select constraint rows that follow from the others, exactly or almost, and leave the others full rank.
+
+    A QR factorization with pivoting selects the rows to keep, at the configuration of the largest rank among
+    those that the mobility analysis has examined.
+
+    Returns:
+        Row numbers in `phi` of the system, ascending.
+    """
+    from scipy.linalg import qr
+
+    found = mobility(system.scene)
+    best = max(range(len(found.states)), key=lambda k: found.configurations[k].rank)
+    q, _ = system.coordinates(found.states[best])
+    _, pivots = qr(dimensionless_jacobian(system, q).T, mode="r", pivoting=True)
+    return sorted(pivots[constraint_rank(system) :].tolist())
 
 
 def loose_tolerance(tolerance: float) -> float:

@@ -47,6 +47,7 @@ def registered(monkeypatch):
     def register(**objects):
         points = [EntryPoint(name, f"{__name__}:{value}", ENTRY_POINTS) for name, value in objects.items()]
         monkeypatch.setattr(registry, "entry_points", lambda group: points)
+        monkeypatch.setattr(registry, "OPTIONAL", {})
         return points
 
     return register

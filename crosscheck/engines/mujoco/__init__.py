@@ -13,9 +13,7 @@ import numpy as np
 
 from crosscheck.engines.adaptive import expected_run
 from crosscheck.engines.benchmarks import Benchmarks
-from crosscheck.engines.energy import energy_balance, min_energy_scale
 from crosscheck.engines.engine import (
-    MAX_RELATIVE_ERROR,
     NO_SETTINGS,
     Engine,
     FixedSteps,
@@ -25,12 +23,13 @@ from crosscheck.engines.engine import (
     SoftConstraints,
     without_forces,
 )
+from crosscheck.engines.steps import halve_until_accurate
 from crosscheck.engines.stress import StressSettings
 from crosscheck.support.colors import VERMILION
 from newton_euler.equations.system import Evaluation, System
 from newton_euler.integrators.fixed_step import RK4_LIMIT
 from newton_euler.model.scene import Scene
-from newton_euler.model.trajectory import Trajectory, distance
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.robot import RobotFile
 from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
@@ -92,7 +91,9 @@ def _run(scene: Scene) -> Trajectory:
     stable_steps = [each for each in steps if is_stable_in_rk4(modes, each)]
     for stable_step in stable_steps[: MAX_HALVINGS + 1]:
         with suppress(DivergenceError):
-            return _halve_until_accurate(scene, mjcf.simulate(scene, timestep=stable_step), expected)
+            run = _rk4(scene, stable_step)
+            at_step = partial(_rk4, scene)
+            return halve_until_accurate(scene, run, expected, stable_step, MAX_RK4_STEPS, at_step)
     try:
         return mjcf.simulate(scene, timestep=steps[MAX_HALVINGS], integrator=IMPLICIT)
     except DivergenceError as error:
@@ -109,48 +110,11 @@ def _run(scene: Scene) -> Trajectory:
         raise cause from error
 
 
-def _halve_until_accurate(scene: Scene, run: Trajectory, expected: Trajectory | None) -> Trajectory:
-    """Halve the step of MuJoCo's RK4 while the run is far from the expected run and halving changes the run.
-
-    Args:
-        scene: the scene.
-        run: MuJoCo's run.
-        expected: newton_euler's run. If there is none, or a partial one, `run` is returned unchanged.
-    """
+def _rk4(scene: Scene, timestep: float) -> Trajectory:
+    """Simulate a scene in MuJoCo by RK4 at a step, s."""
     import mjcf
-    from mjcf.errors import DivergenceError
 
-    if expected is None or len(expected.time) != len(run.time):
-        return run
-    while _relative_deviation(scene, run, expected) > MAX_RELATIVE_ERROR:
-        half = 0.5 * run.settings["timestep"]
-        if scene.duration > half * MAX_RK4_STEPS:
-            break
-        try:
-            finer = mjcf.simulate(scene, timestep=half)
-        except DivergenceError:
-            break
-        change, run = _relative_deviation(scene, run, finer), finer
-        if change < MAX_RELATIVE_ERROR:
-            break
-    return run
-
-
-def _relative_deviation(scene: Scene, run: Trajectory, other: Trajectory) -> float:
-    """Return the largest difference of two runs in poses, kinetic energy and energy balance.
-
-    Distances are relative to the mechanism's size, angles to 1 rad, and energies to the energy of the run
-    `other` or of the mechanism, whichever is larger. Energies count only if both runs have them.
-    """
-    deviations = [distance(run, other, length=scene.mechanism.size)]
-    balance, other_balance = energy_balance(scene, run), energy_balance(scene, other)
-    if balance is not None and other_balance is not None:
-        assert run.kinetic_energy is not None
-        assert other.kinetic_energy is not None
-        unit = max(min_energy_scale(scene, [initial_state(scene)]), other_balance.scale)
-        deviations.append(float(np.max(np.abs(balance.residual - other_balance.residual))) / unit)
-        deviations.append(float(np.max(np.abs(run.kinetic_energy - other.kinetic_energy))) / unit)
-    return max(deviations)
+    return mjcf.simulate(scene, timestep=timestep)
 
 
 def _refined(scene: Scene, in_full: bool = False) -> Trajectory:

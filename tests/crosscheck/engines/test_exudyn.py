@@ -1,0 +1,307 @@
+"""Exudyn as an engine: equations and runs against newton_euler's and closed forms, and what it refuses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from elements import COUPLED, ELEMENTS
+from mechanisms import GRAVITY, bar, pendulum, spinning_top
+
+pytest.importorskip("exudyn")
+
+from crosscheck.compare.levels import compare_pair
+from crosscheck.compare.samples import Samples, States
+from crosscheck.engines.exudyn import ENGINE
+from crosscheck.engines.exudyn.equations import ExudynSystem
+from crosscheck.engines.exudyn.simulate import simulate
+from crosscheck.engines.limits import CannotExpressError
+from crosscheck.engines.registry import choose
+from crosscheck.library import SCENES, load
+from crosscheck.studies.conformance_tests import EngineConformance
+from newton_euler import simulate as reference
+from newton_euler.equations.redundancy import dependent_rows
+from newton_euler.equations.relative import Relative
+from newton_euler.errors import OptionError, UnknownNameError
+from newton_euler.model.armatures import Armature, BallArmature
+from newton_euler.model.compound_joint import Compound
+from newton_euler.model.control import PD
+from newton_euler.model.digital_control import Digital, Sampled
+from newton_euler.model.forces import JointSpring
+from newton_euler.model.joint_kinds import Prismatic, Revolute
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Sine
+from newton_euler.model.splines import Steps
+from newton_euler.model.trajectory import IntegrationError, distance
+from newton_euler.reading.excitation import random_states
+from newton_euler.runs.assemble import initial_state
+
+FAST_SCENES = ("bricard", "four_bar", "heavy_top", "stewart", "tracker", "tracker_on_boat")
+"""Scenes of the library whose equations are compared in the fast tests."""
+
+REFUSED = {"tracker_computed_torque"}
+"""Scenes of the library that Exudyn cannot express."""
+
+FAST_ELEMENTS = ("planar", "rods", "screw", "gear, cut", "motions of a tree", "friction and stops")
+"""Elements whose equations are compared in the fast tests."""
+
+
+class TestContract(EngineConformance):
+    engine = ENGINE
+
+
+def failures(scene, system, others=2):
+    """Return the checks at which a system of equations fails against newton_euler's, at several states."""
+    start = States(scene, (initial_state(scene),))
+    random = random_states(scene, others)
+    states = States(scene, tuple(random if start.is_singular else [*start.all, *random]))
+    pair = ("newton_euler", "exudyn")
+    checks = compare_pair(pair, [Samples(Relative(scene), states)], [Samples(system, states)])
+    return [(check.level, check.quantity) for check in checks if not check.agrees]
+
+
+def apart(scene, **settings):
+    """Return how far a run is from newton_euler's, m or rad, and both runs."""
+    run, exact = simulate(scene, **settings), reference(scene, rtol=1e-11, atol=1e-13)
+    return distance(run, exact), run, exact
+
+
+def errors_at(scene, *steps):
+    """Return how far runs at some steps, s, are from newton_euler's, m or rad."""
+    exact = reference(scene, rtol=1e-11, atol=1e-13)
+    return [distance(simulate(scene, step=step), exact) for step in steps]
+
+
+@pytest.mark.parametrize("name", FAST_SCENES)
+def test_equations(name):
+    scene = load(name)
+    assert failures(scene, ExudynSystem(scene)) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(SCENES.keys() - REFUSED - set(FAST_SCENES)))
+def test_equations_of_the_other_scenes(name):
+    scene = load(name)
+    assert failures(scene, ExudynSystem(scene)) == []
+
+
+@pytest.mark.parametrize("name", FAST_ELEMENTS)
+def test_equations_of_elements(name):
+    scene = ELEMENTS[name]
+    assert failures(scene, ExudynSystem(scene)) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [*ELEMENTS, *COUPLED])
+def test_equations_of_the_other_elements(name):
+    scene = (ELEMENTS | COUPLED)[name]
+    if ENGINE.limits(scene):
+        with pytest.raises(CannotExpressError):
+            ExudynSystem(scene)
+    else:
+        assert failures(scene, ExudynSystem(scene)) == []
+
+
+def compound(**motions) -> Scene:
+    """A bar with several motions relative to the ground in one joint."""
+    joint = Compound("joint", "ground", "bar", np.zeros(3), **motions)
+    mechanism = Mechanism([Body.ground(), bar("bar", [0.0, 0.1, 0.0], [0.4, 0.2, 0.1])], [joint])
+    return Scene("compound", mechanism, 0.1, 0.05, GRAVITY)
+
+
+@pytest.mark.parametrize(
+    "motions",
+    [
+        {"slides": [[1, 0, 0.2]], "hinges": [[0, 1, 0], [0.6, 0, 0.8]]},
+        {"slides": [[1, 0, 0.2], [0.3, 1, 0]], "hinges": [[0, 0.6, 0.8]]},
+        {"slides": np.eye(3), "hinges": [[0, 1, 0], [1, 0.3, 0], [0, 0.2, 1]]},
+        {"hinges": [[0, 1, 0], [1, 0.3, 0], [0, 0.2, 1]]},
+        {"slides": [[1, 0, 0.2]], "ball": True},
+    ],
+)
+def test_compound_joints_are_two_generic_joints(motions):
+    scene = compound(**motions)
+    assert failures(scene, ExudynSystem(scene)) == []
+
+
+def with_rotors() -> Scene:
+    """The tree of slides with a rotor on a slide and one on a hinge."""
+    scene = ELEMENTS["screw"]
+    labels = scene.mechanism.coordinate_labels
+    slide = next(key for key in labels if scene.mechanism.is_slide(*key))
+    hinge = next(key for key in labels if not scene.mechanism.is_slide(*key))
+    rotors = (Armature(slide[0], 0.7, slide[1]), Armature(hinge[0], 0.02, hinge[1]))
+    return replace(scene, armatures=rotors)
+
+
+def test_rotors():
+    scene = with_rotors()
+    assert failures(scene, ExudynSystem(scene)) == []
+    coarse, fine = errors_at(scene, 4e-3, 2e-3)
+    assert fine < 5e-5
+    assert coarse / fine == pytest.approx(4.0, abs=0.4)
+
+
+def oscillator() -> Scene:
+    """A mass of 2 kg on a slide with a spring of 50 N/m: x = 0.1 cos(5 t)."""
+    slide = Prismatic("slide", "ground", "mass", np.zeros(3), axis=[1.0, 0.0, 0.0])
+    mass = Body("mass", 2.0, np.zeros(3), 0.01 * np.eye(3))
+    mechanism = Mechanism([Body.ground(), mass], [slide])
+    return Scene("oscillator", mechanism, 2.0, 0.1, forces=(JointSpring("slide", 50.0, rest=0.1),))
+
+
+@pytest.mark.parametrize("integrator", ["generalized_alpha", "trapezoidal"])
+def test_runs_are_of_order_two(integrator):
+    scene = oscillator()
+    errors = []
+    for step in (0.02, 0.01, 0.005):
+        run = simulate(scene, integrator, step)
+        errors.append(np.max(np.abs(run.position[:, 1, 0] - 0.1 * (1.0 - np.cos(5.0 * run.time)))))
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.1)
+    assert np.log2(errors[1] / errors[2]) == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("name", "redundant"), [("four_bar", 2), ("bricard", 1)])
+def test_redundant_constraints_are_left_out(name, redundant):
+    scene = replace(load(name), duration=0.5)
+    assert len(dependent_rows(ExudynSystem(scene))) == redundant
+    error, run, _ = apart(scene)
+    assert error < 1e-4
+    assert np.max(run.constraint_violation) < 1e-9
+
+
+def test_reactions_are_the_multipliers_of_the_run():
+    _, run, exact = apart(replace(load("tracker"), duration=0.3), step=2e-3)
+    for name in ("reaction_force", "reaction_torque", "actuator_force", "work"):
+        found, needed = getattr(run, name), getattr(exact, name)
+        assert np.max(np.abs(found - needed)) < 2e-3 * np.max(np.abs(needed)), name
+
+
+def test_angles_of_springs_count_revolutions():
+    hinge = Revolute("hinge", "ground", "disc", np.zeros(3), axis=[0.0, 0.3, 1.0], actuated=True)
+    mechanism = Mechanism([Body.ground(), Body("disc", 1.0, np.zeros(3), 0.1 * np.eye(3))], [hinge])
+    wound = Scene("wound", mechanism, 3.0, 0.1, forces=(JointSpring("hinge", 0.1, 0.005, rest=20.0),))
+    driven = replace(wound, forces=(), control=(PD("hinge", 0.1, 0.005, Sine(15.0, 0.8)),))
+    for scene in (wound, driven):
+        error, run, exact = apart(scene)
+        assert np.ptp(exact.joint_angle) > 4.0 * np.pi
+        np.testing.assert_allclose(run.joint_angle, exact.joint_angle, atol=1e-3)
+        np.testing.assert_allclose(run.potential_energy, exact.potential_energy, atol=1e-3)
+        assert error < 1e-3
+
+
+def driven_swing(law) -> Scene:
+    """A bar on a hinge with a control law."""
+    hinge = Revolute("hinge", "ground", "bar", np.zeros(3), axis=[0.0, 1.0, 0.2], actuated=True)
+    mechanism = Mechanism([Body.ground(), bar("bar", [0.0, 0.0, 0.0], [0.4, 0.1, 0.0])], [hinge])
+    return Scene("driven_swing", mechanism, 0.5, 0.1, GRAVITY, control=(law,))
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        Digital(PD("hinge", 8.0, 0.5, 0.6), period=0.03, delay=1),
+        Sampled("hinge", lambda time, x, rate: 3.0 * np.cos(7.0 * time) - x[0] - 0.2 * rate[0], period=0.025),
+        PD("hinge", 8.0, 0.5, Steps((0.0, 0.17, 0.33), (0.3, -0.4, 0.5))),
+    ],
+)
+def test_controllers_in_discrete_time_and_jumps(law):
+    scene = driven_swing(law)
+    coarse, fine = errors_at(scene, 2e-3, 1e-3)
+    assert fine < 5e-5
+    assert coarse / fine == pytest.approx(4.0, abs=0.5)
+    _, run, exact = apart(scene)
+    for name in ("actuator_force", "reaction_torque", "work"):
+        found, needed = getattr(run, name), getattr(exact, name)
+        assert np.max(np.abs(found - needed)) < 5e-3 * np.max(np.abs(needed)), name
+
+
+def test_work_of_prescribed_motions():
+    scene = ELEMENTS["motions of a tree"]
+    _, run, exact = apart(scene, step=4e-3)
+    np.testing.assert_allclose(run.work, exact.work, atol=1e-3 * np.max(np.abs(exact.work)))
+
+
+def test_a_run_that_stops_has_its_outputs():
+    def controller(time, x, rate):
+        if time > 0.25:
+            raise ValueError("no more")
+        return 0.0
+
+    with pytest.raises(IntegrationError, match="no more") as caught:
+        simulate(driven_swing(Sampled("hinge", controller, period=0.05)))
+    assert caught.value.partial is not None
+    np.testing.assert_allclose(caught.value.partial.time, [0.0, 0.1, 0.2])
+
+
+def test_newton_iterations_that_do_not_converge(capfd):
+    with pytest.raises(IntegrationError) as caught:
+        simulate(load("andrews"), step=5e-3)
+    assert "\n" not in str(caught.value)
+    assert caught.value.partial is not None
+    assert capfd.readouterr() == ("", "")
+
+
+def test_runs_print_nothing(capfd):
+    ENGINE.simulate(replace(load("four_bar"), duration=0.1))
+    assert capfd.readouterr() == ("", "")
+
+
+def test_an_unequal_last_interval():
+    scene = replace(pendulum(), duration=0.53, output_period=0.1)
+    error, run, _ = apart(scene)
+    assert run.time[-1] == 0.53
+    assert error < 2e-5
+
+
+@pytest.mark.parametrize("step", [0.0, -1.0, np.inf, np.nan, 1e-12])
+def test_impossible_steps(step):
+    with pytest.raises(OptionError):
+        simulate(pendulum(), step=step)
+
+
+def test_unknown_integrator():
+    with pytest.raises(UnknownNameError):
+        simulate(pendulum(), "RK4")
+
+
+@pytest.mark.parametrize(
+    ("scene", "element"),
+    [
+        (ELEMENTS["parallel hinges"], "parallel_hinges joint 'root'"),
+        (ELEMENTS["friction of loaded joints"], "friction of joint 'spindle'"),
+        (compound(hinges=[[0, 1, 0], [1, 1, 0]]), "compound joint 'joint'"),
+        (compound(hinges=np.eye(3)[:2], offsets=[[0, 0, 0.1]]), "compound joint 'joint'"),
+        (
+            replace(spinning_top(), armatures=(BallArmature("tip", 0.1),)),
+            "armature of the ball of joint 'tip'",
+        ),
+        (load("tracker_computed_torque"), "control of joint 'slide_12'"),
+    ],
+)
+def test_limits_are_what_is_refused(scene, element):
+    assert element in [limit.element for limit in ENGINE.limits(scene)]
+    for use in (ENGINE.simulate, ENGINE.systems):
+        with pytest.raises(CannotExpressError) as caught:
+            use(scene)
+        assert caught.value.limits == tuple(ENGINE.limits(scene))
+
+
+def test_a_moved_anchor_is_found():
+    scene = load("four_bar")
+    closing = scene.mechanism.joint_names[-1]
+    system = ENGINE.with_moved_anchor(scene, closing, np.array([0.0, 0.0, 1e-3]))
+    assert ("model", "joint points, m") in failures(scene, system)
+
+
+def test_the_default_step_is_halved_for_fast_machines():
+    run = ENGINE.simulate(replace(load("heavy_top"), duration=0.5))
+    refined = ENGINE.refined(replace(load("heavy_top"), duration=0.5))
+    assert run.settings["step"] <= 1e-3
+    assert refined.settings["step"] == pytest.approx(0.5 * run.settings["step"])
+
+
+def test_the_registry_has_the_engine():
+    assert choose(["exudyn"]) == [ENGINE]
