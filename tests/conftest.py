@@ -140,7 +140,7 @@ def locking() -> Scene:
 
 @pytest.fixture
 def with_engines(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """A function that registers engines, as other packages do."""
+    """A function that registers engines, as other packages do, without optional ones of this project."""
 
     def register(*engines: Engine) -> None:
         points = [
@@ -148,6 +148,7 @@ def with_engines(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
             for engine in engines
         ]
         monkeypatch.setattr(registry, "entry_points", lambda group: points)
+        monkeypatch.setattr(registry, "OPTIONAL", {})
 
     return register
 
