@@ -8,10 +8,13 @@ differentiates such functions numerically, so that its Newton iteration knows th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
 from exudyn.itemInterface import (
+    LoadForceVector,
+    LoadTorqueVector,
     MarkerBodyRigid,
     NodeGenericData,
     ObjectConnectorLinearSpringDamper,
@@ -19,15 +22,17 @@ from exudyn.itemInterface import (
     ObjectConnectorTorsionalSpringDamper,
 )
 
-from crosscheck.engines.exudyn.forces import CoordinateElement
+from crosscheck.engines.exudyn.coordinates import JointCoordinates
+from crosscheck.engines.exudyn.forces import CoordinateElement, Motions
 from newton_euler.equations.load_friction import loaded_frictions
 from newton_euler.model.control import PD, StateFeedback
 from newton_euler.model.digital_control import HeldLaw
-from newton_euler.model.forces import JointSpring, PointSpring
+from newton_euler.model.forces import JointSpring, PointSpring, Wrench
 from newton_euler.model.joint import AxisJoint, Key
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.switched_forces import JointFriction, JointStop
+from newton_euler.scalars import Array
 
 HINGES = frozenset({"revolute", "cylindrical", "screw", "planar"})
 """Kinds of joints whose hinge turns about z of both markers, so that a torsional spring measures it."""
@@ -38,6 +43,13 @@ the same, as are Exudyn's, which act at the points of both markers."""
 
 Force = Callable[[float, float, float], float]
 """Function of a joint coordinate, m or rad, its rate and the time, s, that returns a force, N or N m."""
+
+
+Load = Callable[[Motions, float], Mapping[Key, float]]
+"""Function of joint coordinates with their rates and of time, s, that returns forces, N or N m, by key."""
+
+DIFFERENCE = 1e-6
+"""Step of difference quotients of forces, m, rad or their rates, for a Newton iteration."""
 
 
 class Connector(NamedTuple):
@@ -153,3 +165,77 @@ def add_point_spring(mbs: Any, mechanism: Mechanism, spring: PointSpring, bodies
         damping=spring.damping,
     )
     mbs.AddObject(item)
+
+
+def add_wrench(mbs: Any, mechanism: Mechanism, wrench: Wrench, bodies: Sequence[Any]) -> None:
+    """Add a force and a torque of constant components, in the world or in the body.
+
+    Args:
+        mbs, mechanism, bodies: see `add_point_spring`.
+        wrench: force and torque.
+    """
+    index = mechanism.body_index(wrench.body)
+    pose = mechanism.bodies[index].pose
+    in_body = wrench.frame == "body"
+    # components in the body frame, which is turned against the world at the initial pose
+    to_frame = pose.rotation.T if in_body else np.eye(3)
+    item = MarkerBodyRigid(bodyNumber=bodies[index], localPosition=pose.point_to_body(wrench.point))
+    marker = mbs.AddMarker(item)
+    for load, vector in ((LoadForceVector, wrench.force), (LoadTorqueVector, wrench.torque)):
+        mbs.AddLoad(load(markerNumber=marker, loadVector=to_frame @ vector, bodyFixed=in_body))
+
+
+class CoordinateForce:
+    """Forces along joint coordinates that no connector of Exudyn measures, such as those of an elastic gear.
+
+    An `ObjectGenericODE2` without mass has the coordinates of all bodies on which the forces depend. Its user
+    functions are `force` and `jacobian`.
+    """
+
+    def __init__(self, coordinates: JointCoordinates, reference: Array, load: Load) -> None:
+        """Prepare the forces.
+
+        Args:
+            coordinates: joint coordinates on which the forces act or depend.
+            reference: reference coordinates of the bodies of `coordinates`.
+            load: computes the forces.
+        """
+        self._coordinates, self._reference, self._load = coordinates, reference, load
+
+    def _state(self, q: Array, rates: Array) -> tuple[dict[Key, tuple[float, float]], dict[Key, Array]]:
+        """Return the joint coordinates with their rates, and their derivatives by the coordinates of bodies.
+
+        Args:
+            q: coordinates of the bodies, relative to the reference.
+            rates: rates of q.
+        """
+        q = self._reference + np.asarray(q)
+        frames = self._coordinates.frames(q)
+        rows = self._coordinates.rows(q, frames)
+        x = self._coordinates.x(frames)
+        return {key: (x[key], float(row @ np.asarray(rates))) for key, row in rows.items()}, rows
+
+    def force(self, _mbs: Any, time: float, _item: int, q: Array, rates: Array) -> Array:
+        """Return the forces on the coordinates of the bodies."""
+        motions, rows = self._state(q, rates)
+        loads = self._load(motions, time)
+        return np.asarray(sum(force * rows[key] for key, force in loads.items()))
+
+    def jacobian(
+        self, _mbs: Any, time: float, _item: int, q: Array, rates: Array, by_q: float, by_rates: float
+    ) -> Array:
+        """Return minus the derivative of `force` for a Newton iteration, without that of the directions.
+
+        Args:
+            time: s.
+            q, rates: see `force`.
+            by_q, by_rates: factors of the derivatives by q and by its rates.
+        """
+        motions, rows = self._state(q, rates)
+        loads, found = self._load(motions, time), np.zeros((len(self._reference),) * 2)
+        for key, (x, rate) in motions.items():
+            for factor, moved in ((by_q, (x + DIFFERENCE, rate)), (by_rates, (x, rate + DIFFERENCE))):
+                for other, force in self._load({**motions, key: moved}, time).items():
+                    slope = factor * (force - loads[other]) / DIFFERENCE
+                    found -= slope * np.outer(rows[other], rows[key])
+        return found

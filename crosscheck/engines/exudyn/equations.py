@@ -21,8 +21,8 @@ from typing import Any, TypedDict
 import exudyn as exu
 import numpy as np
 
-from crosscheck.engines.exudyn.couplings import NODAL
-from crosscheck.engines.exudyn.forces import AppliedForces, applied_forces, coordinate_elements, motions_of
+from crosscheck.engines.exudyn.coordinates import NODAL
+from crosscheck.engines.exudyn.forces import AppliedForces, applied_forces, motions_of
 from crosscheck.engines.exudyn.limits import limits
 from crosscheck.engines.exudyn.model import build
 from crosscheck.engines.exudyn.readings import joint_geometry, mass_properties
@@ -72,7 +72,13 @@ class ExudynSystem:
 
     Attributes:
         model: the system of Exudyn.
+        solver: solver of Exudyn, which computes matrices and residuals.
+        count, rotors: numbers of moving bodies and of rotors.
+        nodal_size: number of Exudyn's coordinates, which are the first elements of q.
+        reference: (nodal size,) reference coordinates.
         angles: keys of the hinge angles in q.
+        angle_places: their place in q.
+        row_numbers: numbers of the constraint equations (k,) among Exudyn's algebraic equations.
     """
 
     name = "exudyn"
@@ -93,23 +99,22 @@ class ExudynSystem:
         settings.timeIntegration.verboseMode = 0
         # the matrices do not need them, and redundant constraints make their equations singular
         settings.timeIntegration.generalizedAlpha.computeInitialAccelerations = False
-        self._solver: Any = exu.MainSolverImplicitSecondOrder()
-        self._solver.InitializeSolver(self.model.mbs, settings)
+        self.solver: Any = exu.MainSolverImplicitSecondOrder()
+        self.solver.InitializeSolver(self.model.mbs, settings)
         size, self.angles = self.mechanism.size, counted_angles(scene)
-        self._elements = len(coordinate_elements(scene))
-        self._count, self._rotors = len(self.mechanism.bodies) - 1, len(scene.armatures)
-        self.nodal_size = NODAL * self._count + self._rotors
+        self.count, self.rotors = len(self.mechanism.bodies) - 1, len(scene.armatures)
+        self.nodal_size = NODAL * self.count + self.rotors
         self.nq = self.nodal_size + len(self.angles) + int(scene.tracks_work)
-        self.nv = 6 * self._count + self._rotors
-        self.quaternions = [slice(NODAL * k + 3, NODAL * k + 7) for k in range(self._count)]
-        self._angle_places = slice(self.nodal_size, self.nodal_size + len(self.angles))
+        self.nv = 6 * self.count + self.rotors
+        self.quaternions = [slice(NODAL * k + 3, NODAL * k + 7) for k in range(self.count)]
+        self.angle_places = slice(self.nodal_size, self.nodal_size + len(self.angles))
         self.phi_units = np.array([row.unit for row in self.model.rows])
         of_rotors = [size if self.mechanism.is_slide(*each.key) else 1.0 for each in scene.armatures]
         self.velocity_units = np.concatenate(
-            [np.tile([size, size, size, 1.0, 1.0, 1.0], self._count), of_rotors]
+            [np.tile([size, size, size, 1.0, 1.0, 1.0], self.count), of_rotors]
         )
-        self._reference = self.model.reference
-        self._rows = [row.equation for row in self.model.rows]
+        self.reference = self.model.reference
+        self.row_numbers = [row.equation for row in self.model.rows]
         self._couplings = couplings(scene)
         self._unused: list[int] | None = None
         self.model.wrenches = lambda time: self._applied(time).on_bodies
@@ -121,9 +126,9 @@ class ExudynSystem:
         """Set Exudyn's system to coordinates q (nq,) and velocities v (nv,), and to the time."""
         nodal, data = q[: self.nodal_size], self.model.mbs.systemData
         self.model.scene = self.scene
-        self.set_angles(dict(zip(self.angles, q[self._angle_places].tolist(), strict=True)))
+        self.set_angles(dict(zip(self.angles, q[self.angle_places].tolist(), strict=True)))
         data.SetTime(self.time)
-        data.SetODE2Coordinates(nodal - self._reference)
+        data.SetODE2Coordinates(nodal - self.reference)
         data.SetODE2Coordinates_t(self.nodal_rates(nodal) @ v)
 
     def set_angles(self, angles: Mapping[tuple[str, int], float]) -> None:
@@ -139,23 +144,23 @@ class ExudynSystem:
         for k, quaternion in enumerate(self.quaternions):
             matrix[NODAL * k : NODAL * k + 3, 6 * k : 6 * k + 3] = np.eye(3)
             matrix[quaternion, 6 * k + 3 : 6 * k + 6] = 0.5 * matrix_l(q[quaternion]).T
-        matrix[NODAL * self._count :, 6 * self._count :] = np.eye(self._rotors)
+        matrix[NODAL * self.count :, 6 * self.count :] = np.eye(self.rotors)
         return matrix
 
     def _constraint_matrix(self) -> Array:
         """Return Exudyn's C_q (k, nodal size) at the present state."""
         size = self.nodal_size
-        total = size + self._solver.GetAEsize()
-        self._solver.SetSystemJacobian(np.zeros((total, total)))  # the call below adds to it
-        self._solver.ComputeJacobianAE(
+        total = size + self.solver.GetAEsize()
+        self.solver.SetSystemJacobian(np.zeros((total, total)))  # the call below adds to it
+        self.solver.ComputeJacobianAE(
             self.model.mbs, scalarFactor_ODE2=1.0, scalarFactor_ODE2_t=0.0, velocityLevel=False
         )
-        return np.array(self._solver.GetSystemJacobian())[size:, :size][self._rows]
+        return np.array(self.solver.GetSystemJacobian())[size:, :size][self.row_numbers]
 
     def _mass_matrix(self) -> Array:
         """Return Exudyn's mass matrix of its nodal coordinates at the present state."""
-        self._solver.ComputeMassMatrix(self.model.mbs)
-        return np.array(self._solver.GetSystemMassMatrix())[: self.nodal_size, : self.nodal_size]
+        self.solver.ComputeMassMatrix(self.model.mbs)
+        return np.array(self.solver.GetSystemMassMatrix())[: self.nodal_size, : self.nodal_size]
 
     def _applied(self, time: float) -> AppliedForces:
         """Return the applied forces at the present state and a time, s; those of the last state are kept."""
@@ -164,10 +169,7 @@ class ExudynSystem:
         key = time, self.model.scene, coordinates.tobytes(), rates.tobytes()
         known, forces = self._last
         if forces is None or known != key:
-            is_native = [place in self.model.connectors for place in range(self._elements)]
-            forces = applied_forces(
-                self.model.scene, self.present_state(), time, is_native, self.model.springs
-            )
+            forces = applied_forces(self.model.scene, self.present_state(), time, self.model.native)
             self._last = key, forces
         return forces
 
@@ -183,70 +185,6 @@ class ExudynSystem:
             found.position[k], found.quaternion[k] = position, from_rotation(np.reshape(turn, (3, 3)))
             found.linear_velocity[k], found.angular_velocity[k] = velocity, spin
         return State(*found.arrays, angles={key: self.model.angles[key] for key in self.angles})
-
-    # A run, which changes the state of Exudyn's system
-
-    def start(self, q: Array, v: Array, acceleration: Array, multipliers: Array) -> None:
-        """Make a state the initial one of Exudyn's solvers, and the present one.
-
-        Args:
-            q, v: (nq,) and (nv,), the state.
-            acceleration: (nv,) dv/dt.
-            multipliers: (k,) multipliers of the constraints.
-        """
-        self.place(q, v)
-        data, initial = self.model.mbs.systemData, exu.ConfigurationType.Initial
-        of_equations = np.zeros(self._solver.GetAEsize())
-        of_equations[self._rows] = -multipliers  # Exudyn has M a + C_q^T multipliers = f
-        data.SetODE2Coordinates(data.GetODE2Coordinates(), initial)
-        data.SetODE2Coordinates_t(data.GetODE2Coordinates_t(), initial)
-        data.SetODE2Coordinates_tt(self.nodal_accelerations(q, v, acceleration), initial)
-        data.SetAECoordinates(of_equations, initial)
-        data.SetDataCoordinates(data.GetDataCoordinates(), initial)
-
-    def nodal_accelerations(self, q: Array, v: Array, acceleration: Array) -> Array:
-        """Return the second derivatives of Exudyn's coordinates for accelerations dv/dt (nv,)."""
-        found = self.nodal_rates(q) @ acceleration
-        for k, place in enumerate(self.quaternions):
-            spin = v[6 * k + 3 : 6 * k + 6]
-            found[place] -= 0.25 * (spin @ spin) * q[place]
-        return found
-
-    def follow_angles(self) -> None:
-        """Count the revolutions of the hinge angles up to the present state of Exudyn's system."""
-        if self.angles:
-            frames = self.present_state().frames()
-            for key in self.angles:
-                x = float(self.mechanism.measure(key, frames)[0])
-                self.model.angles[key] = x + float(whole_revolutions(self.model.angles[key] - x))
-
-    def read_state(self, like: Array) -> tuple[Array, Array, Array]:
-        """Return q (nq,), v (nv,) and dv/dt (nv,) of the present state of Exudyn's system.
-
-        Args:
-            like: (nq,) coordinates with the present work.
-        """
-        data, q = self.model.mbs.systemData, like.copy()
-        nodal = self._reference + data.GetODE2Coordinates()
-        rates, second = np.array(data.GetODE2Coordinates_t()), np.array(data.GetODE2Coordinates_tt())
-        v, acceleration = np.zeros((2, self.nv))
-        for k, place in enumerate(self.quaternions):
-            nodal[place] /= np.linalg.norm(nodal[place])
-            position, matrix = slice(NODAL * k, NODAL * k + 3), 2.0 * matrix_l(nodal[place])
-            for found, given in ((v, rates), (acceleration, second)):
-                found[6 * k : 6 * k + 3], found[6 * k + 3 : 6 * k + 6] = (
-                    given[position],
-                    matrix @ given[place],
-                )
-        v[6 * self._count :] = rates[NODAL * self._count :]
-        acceleration[6 * self._count :] = second[NODAL * self._count :]
-        q[: self.nodal_size] = nodal
-        q[self._angle_places] = [self.model.angles[key] for key in self.angles]
-        return q, v, acceleration
-
-    def read_multipliers(self) -> Array:
-        """Return the multipliers (k,) of M dv/dt = f + J^T multipliers that Exudyn's solver has found."""
-        return -np.array(self.model.mbs.systemData.GetAECoordinates())[self._rows]
 
     # `System`
 
@@ -275,8 +213,8 @@ class ExudynSystem:
             v[6 * k : 6 * k + 3] = state.linear_velocity[k + 1]
             v[6 * k + 3 : 6 * k + 6] = frames[k + 1].rotation.T @ frames[k + 1].angular_velocity
         for k, armature in enumerate(self.scene.armatures):
-            q[NODAL * self._count + k], v[6 * self._count + k] = x[armature.key], measured[armature.key][1]
-        q[self._angle_places] = [x[key] for key in self.angles]
+            q[NODAL * self.count + k], v[6 * self.count + k] = x[armature.key], measured[armature.key][1]
+        q[self.angle_places] = [x[key] for key in self.angles]
         return q, v
 
     def state(self, q: Array, v: Array) -> State:
@@ -296,7 +234,7 @@ class ExudynSystem:
         rates = [float(self.mechanism.measure(key, frames)[1]) for key in self.angles]
         power = []
         if self.scene.tracks_work:
-            multipliers = self.solve(q, v)[1] if self.scene.motions else np.zeros(len(self._rows))
+            multipliers = self.solve(q, v)[1] if self.scene.motions else np.zeros(len(self.row_numbers))
             self.place(q, v)
             power.append(self.power(multipliers))
         return np.concatenate([self.nodal_rates(q) @ v, rates, power])
@@ -324,19 +262,19 @@ class ExudynSystem:
         if not self.angles:
             return
         frames = self.state(moved, np.zeros(self.nv)).frames()
-        for key, place in zip(self.angles, range(self._angle_places.start, self.nq), strict=False):
+        for key, place in zip(self.angles, range(self.angle_places.start, self.nq), strict=False):
             x = float(self.mechanism.measure(key, frames)[0])
             moved[place] = x + whole_revolutions(q[place] - x)
 
     def phi(self, q: Array) -> Array:
         """Return the residuals (k,) of joints, couplings and rotors."""
         self.place(q, np.zeros(self.nv))
-        self._solver.ComputeAlgebraicEquations(self.model.mbs)
-        return np.array(self._solver.GetSystemResidual())[self.nodal_size :][self._rows]
+        self.solver.ComputeAlgebraicEquations(self.model.mbs)
+        return np.array(self.solver.GetSystemResidual())[self.nodal_size :][self.row_numbers]
 
     def _of_couplings(self, values: list[float]) -> Array:
         """Return values of `Model.equations` as rows (k,), with zeros for the joints."""
-        found = np.zeros(len(self._rows))
+        found = np.zeros(len(self.row_numbers))
         found[len(found) - len(values) :] = values
         return found
 
@@ -347,7 +285,7 @@ class ExudynSystem:
     def coupling_phi(self, q: Array) -> Array:
         """Return the residuals (c,) of couplings and prescribed motions."""
         frames = self.state(q, np.zeros(self.nv)).frames()
-        known = dict(zip(self.angles, q[self._angle_places].tolist(), strict=True))
+        known = dict(zip(self.angles, q[self.angle_places].tolist(), strict=True))
         return residuals(self.mechanism, self._couplings, frames, self.time, known).phi
 
     def phi_jacobian(self, q: Array) -> Array:
@@ -357,7 +295,7 @@ class ExudynSystem:
 
     def velocity_transformation(self, q: Array) -> Array:
         """Return the Jacobian (6 b, nv) of the body velocities."""
-        matrix = np.zeros((6 * (self._count + 1), self.nv))
+        matrix = np.zeros((6 * (self.count + 1), self.nv))
         for k, place in enumerate(self.quaternions):
             first = 6 * (k + 1)
             matrix[first : first + 3, 6 * k : 6 * k + 3] = np.eye(3)
@@ -368,8 +306,8 @@ class ExudynSystem:
         """Return M (nv, nv) and f (nv,)."""
         self.place(q, v)
         to_rates = self.nodal_rates(q)
-        self._solver.ComputeODE2RHS(self.model.mbs)
-        force = to_rates.T @ np.array(self._solver.GetSystemResidual())[: self.nodal_size]
+        self.solver.ComputeODE2RHS(self.model.mbs)
+        force = to_rates.T @ np.array(self.solver.GetSystemResidual())[: self.nodal_size]
         return to_rates.T @ self._mass_matrix() @ to_rates, force
 
     def acceleration(self, q: Array, v: Array) -> Array:
@@ -406,7 +344,7 @@ class ExudynSystem:
         if not np.any(v):
             return self._of_couplings(of_motions)
         step = MOTION_STEP / float(np.max(np.abs(v) / self.velocity_units))
-        rate = np.zeros(len(self._rows))
+        rate = np.zeros(len(self.row_numbers))
         for point, weight in FIRST_DERIVATIVE:
             rate += weight / step * (self.phi_jacobian(self._moved(q, v, point * step)) @ v)
         return self._of_couplings(of_motions) - rate
@@ -417,14 +355,14 @@ class ExudynSystem:
         for k, place in enumerate(self.quaternions):
             moved[NODAL * k : NODAL * k + 3] += time * v[6 * k : 6 * k + 3]
             moved[place] = product(q[place], from_rotation_vector(time * v[6 * k + 3 : 6 * k + 6]))
-        moved[NODAL * self._count : self.nodal_size] += time * v[6 * self._count :]
+        moved[NODAL * self.count : self.nodal_size] += time * v[6 * self.count :]
         self._follow(q, moved)
         return moved
 
     def _energies(self, q: Array, v: Array) -> Energies:
         """Return the energies at the present state of Exudyn's system, which is q and v."""
         rates = self.nodal_rates(q) @ v
-        positions = np.reshape(q[: NODAL * self._count], (-1, NODAL))[:, :3]
+        positions = np.reshape(q[: NODAL * self.count], (-1, NODAL))[:, :3]
         masses = np.array([body.mass for body in self.mechanism.bodies[1:]])
         return {
             "kinetic_energy": 0.5 * float(rates @ self._mass_matrix() @ rates),
@@ -454,7 +392,7 @@ class ExudynSystem:
         state = self.state(q, v)
         frames = state.frames()
         linear, angular = np.zeros((2, len(frames), 3))
-        for k in range(self._count):
+        for k in range(self.count):
             of_body = acceleration[6 * k : 6 * k + 6]
             linear[k + 1], angular[k + 1] = of_body[:3], frames[k + 1].rotation @ of_body[3:]
         reaction = self._reactions(frames, jacobian, multipliers)

@@ -14,10 +14,9 @@ from typing import Any, NamedTuple, assert_never
 
 import numpy as np
 
-from newton_euler.model.constraints import Frame
 from newton_euler.model.control import DeclaredLaw
 from newton_euler.model.digital_control import HeldLaw, Law
-from newton_euler.model.forces import BallSpring, JointSpring, PointSpring
+from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import TimeFunction
@@ -93,7 +92,7 @@ def body_loads(scene: Scene, state: State, time: float, native: Sequence[object]
         scene: the scene.
         state: poses and velocities of the bodies.
         time: s.
-        native: springs that are connectors of Exudyn; `wrenches` is without their forces.
+        native: forces that Exudyn computes; `wrenches` is without them.
     """
     forces = [_at_time(force, time) for force in scene.body_forces]
     rates = np.hstack([state.linear_velocity, state.angular_velocity])
@@ -132,6 +131,18 @@ def _wrenches(scene: Scene, state: State, force: object) -> Array:
     return wrenches.total
 
 
+def loaded_bodies(mechanism: Mechanism, force: Force) -> set[int]:
+    """Return the numbers of the bodies on which a force of `Scene.body_forces` acts."""
+    if isinstance(force, BallSpring):
+        equations = mechanism.joint_equations(force.joint)
+        return {equations.first, equations.second}
+    if isinstance(force, PointSpring):
+        return {mechanism.body_index(name) for name in (force.first, force.second)}
+    if isinstance(force, Wrench | WindLoad):
+        return {mechanism.body_index(force.body)}
+    raise TypeError(f"{force!r} acts on no bodies")
+
+
 def _second_body(mechanism: Mechanism, spring: PointSpring | BallSpring) -> int:
     """Return the number of the second body of a spring."""
     if isinstance(spring, PointSpring):
@@ -149,11 +160,10 @@ def motions_of(scene: Scene, state: State) -> Motions:
 
 
 class AppliedForces(NamedTuple):
-    """Forces of a scene at one state that are no connectors of Exudyn, and what all forces do.
+    """Forces on bodies at one state that Exudyn does not compute, and what all forces of a scene do.
 
     Attributes:
-        on_bodies: (b, 6) forces and torques about the centers of mass, N and N m, world frame, without those
-            of connectors.
+        on_bodies: (b, 6) forces and torques about the centers of mass, N and N m, world frame.
         control: (a,) forces of the control laws, N or N m.
         power: W, of all forces without potential energy.
         energy: J, of all springs.
@@ -165,38 +175,23 @@ class AppliedForces(NamedTuple):
     energy: float
 
 
-def applied_forces(
-    scene: Scene, state: State, time: float, is_native: Sequence[bool], springs: Sequence[object]
-) -> AppliedForces:
+def applied_forces(scene: Scene, state: State, time: float, native: Sequence[object]) -> AppliedForces:
     """Compute the applied forces of a scene at a state and a time, s.
 
     Args:
         scene: the scene.
         state: poses and velocities of the bodies, with full revolutions of the hinge angles.
         time: s.
-        is_native: for each of `coordinate_elements`, whether it is a connector of Exudyn.
-        springs: springs between points that are connectors of Exudyn.
+        native: forces on bodies that Exudyn computes.
     """
-    on_bodies, power, energy = body_loads(scene, state, time, springs)
-    frames, motions, control = state.frames(), motions_of(scene, state), list[float]()
+    on_bodies, power, energy = body_loads(scene, state, time, native)
+    motions, control = motions_of(scene, state), list[float]()
     elements = coordinate_elements(scene)
     for place, element in enumerate(elements):
         load = coordinate_load(element, motions, time, {})
         energy += load.energy
         for key, force, elastic in zip(element.keys, load.forces, load.elastic, strict=True):
             power += (force - elastic) * motions[key][1]
-            if not is_native[place]:
-                _add_along(scene.mechanism, frames, key, force, on_bodies)
         if place < len(scene.control):
             control += load.forces
     return AppliedForces(on_bodies, np.array(control), power, energy)
-
-
-def _add_along(
-    mechanism: Mechanism, frames: Sequence[Frame], key: Key, force: float, wrenches: Array
-) -> None:
-    """Add a force along a joint coordinate, N or N m, to the wrenches (b, 6) on the bodies."""
-    equations = mechanism.joint_equations(key[0])
-    of = equations.coordinates[key[1]].jacobian(frames[equations.first], frames[equations.second])
-    wrenches[equations.first] += force * np.concatenate([of.r_first[0], of.theta_first[0]])
-    wrenches[equations.second] += force * np.concatenate([of.r_second[0], of.theta_second[0]])

@@ -39,12 +39,21 @@ from exudyn.itemInterface import (
     ObjectRigidBody,
 )
 
-from crosscheck.engines.exudyn.connectors import Connector, add_connector, add_point_spring, is_native
-from crosscheck.engines.exudyn.couplings import NODAL, CoordinateEquation, rotor_equations
-from crosscheck.engines.exudyn.forces import coordinate_elements, coordinate_load
+from crosscheck.engines.exudyn.connectors import (
+    Connector,
+    CoordinateForce,
+    add_connector,
+    add_point_spring,
+    add_wrench,
+    is_native,
+)
+from crosscheck.engines.exudyn.coordinates import NODAL, JointCoordinates
+from crosscheck.engines.exudyn.couplings import CoordinateEquation, rotor_equations
+from crosscheck.engines.exudyn.forces import Motions, coordinate_elements, coordinate_load, loaded_bodies
 from crosscheck.engines.exudyn.joints import parts
 from newton_euler.equations.couplings import couplings
-from newton_euler.model.forces import PointSpring
+from newton_euler.model.control import ControlLaw
+from newton_euler.model.forces import PointSpring, Wrench
 from newton_euler.model.joint import Joint, Key
 from newton_euler.model.joint_kinds import Rod
 from newton_euler.model.scene import Scene
@@ -83,12 +92,12 @@ class Model:
         objects: objects of each joint, none for a free joint.
         rows: constraint equations that are in the model.
         equations: couplings and prescribed motions, then rotors, as far as they are in the model.
-        loaded: True if Python computes forces on the bodies, besides those of connectors.
-        wrenches: computes these forces and torques (b, 6) at the present state, N and N m, about the centers
-            of mass, world frame, for a time, s; the owner of the model sets it.
+        wrenches: computes the forces and torques (b, 6) on the bodies that Exudyn does not, at the present
+            state, N and N m, about the centers of mass, world frame, for a time, s; the owner of the model
+            sets it.
         connectors: connector of each element whose force Exudyn applies, by the element's place in
             `coordinate_elements`.
-        springs: point springs that are connectors.
+        native: forces on bodies that Exudyn computes: springs between points, and wrenches.
     """
 
     scene: Scene
@@ -101,8 +110,7 @@ class Model:
     rows: list[Row] = field(default_factory=list)
     equations: list[CoordinateEquation] = field(default_factory=list)
     connectors: dict[int, Connector] = field(default_factory=dict)
-    springs: list[PointSpring] = field(default_factory=list)
-    loaded: bool = False
+    native: list[PointSpring | Wrench] = field(default_factory=list)
     wrenches: Callable[[float], Array] | None = None
 
     @property
@@ -143,15 +151,17 @@ def build(scene: Scene, left_out: Collection[int] = (), shifts: Mapping[str, Arr
     for place, element in enumerate(elements):
         if is_native(scene, element):
             _add_element(model, place)
+        else:
+            _add_coordinate_force(model, place)
     equations += _add_coordinate_equations(model, is_used)
     for force in scene.forces:
         if isinstance(force, PointSpring) and force.rest_length > 0.0:  # Exudyn refuses a length of zero
             add_point_spring(model.mbs, scene.mechanism, force, model.bodies)
-            model.springs.append(force)
-    of_bodies = any(not any(force is each for each in model.springs) for force in scene.body_forces)
-    model.loaded = of_bodies or len(model.connectors) < len(elements)
-    if model.loaded:
-        _add_loads(model)
+            model.native.append(force)
+        elif isinstance(force, Wrench):
+            add_wrench(model.mbs, scene.mechanism, force, model.bodies)
+            model.native.append(force)
+    _add_loads(model)
     model.mbs.Assemble()
     for item, k, owner, unit in equations:
         equation = int(model.mbs.systemData.GetObjectLTGAE(item)[k])
@@ -238,6 +248,27 @@ def _add_element(model: Model, place: int) -> None:
     model.connectors[place] = add_connector(model.mbs, mechanism, element, markers, force)
 
 
+def _add_coordinate_force(model: Model, place: int) -> None:
+    """Add the forces of the element at a place in `coordinate_elements` on the coordinates of bodies."""
+    element = coordinate_elements(model.scene)[place]
+    reads = element.reads if isinstance(element, ControlLaw) else ()
+    coordinates = JointCoordinates(model.scene.mechanism, (*element.keys, *reads), model.angles)
+
+    def load(motions: Motions, time: float) -> dict[Key, float]:
+        present = coordinate_elements(model.scene)[place]
+        return dict(zip(present.keys, coordinate_load(present, motions, time, {}).forces, strict=True))
+
+    chosen = [NODAL * (body - 1) + k for body in coordinates.bodies for k in range(NODAL)]
+    force = CoordinateForce(coordinates, model.reference[chosen], load)
+    item = ObjectGenericODE2(
+        nodeNumbers=[model.nodes[body - 1] for body in coordinates.bodies],
+        massMatrix=np.zeros((coordinates.size,) * 2),
+        forceUserFunction=force.force,
+        jacobianUserFunction=force.jacobian,
+    )
+    model.mbs.AddObject(item)
+
+
 def _add_coordinate_equations(
     model: Model, is_used: Callable[[], bool]
 ) -> list[tuple[Any, int, int | None, float]]:
@@ -251,8 +282,8 @@ def _add_coordinate_equations(
             continue
         rotor = number - len(couplings(model.scene))
         equation = CoordinateEquation(coupling, mechanism, model.angles, rotor=rotor >= 0)
-        nodes = [model.nodes[body - 1] for body in equation.bodies]
-        size = NODAL * len(nodes)
+        nodes = [model.nodes[body - 1] for body in equation.coordinates.bodies]
+        size = equation.coordinates.size
         collected = mbs.AddObject(ObjectGenericODE2(nodeNumbers=nodes, massMatrix=np.zeros((size, size))))
         other = model.nodes[moving + rotor] if rotor >= 0 else mbs.AddNode(NodePointGround())
         markers = [
@@ -272,14 +303,19 @@ def _add_coordinate_equations(
 
 
 def _add_loads(model: Model) -> None:
-    """Add loads on all bodies whose forces and torques Python computes."""
+    """Add loads on the bodies whose forces and torques Python computes."""
+    mechanism, loaded = model.scene.mechanism, set[int]()
+    for force in model.scene.body_forces:
+        if not any(force is each for each in model.native):
+            loaded |= loaded_bodies(mechanism, force)
 
     def load(body: int, part: slice, _mbs: Any, time: float, _load: Any) -> Array:
         assert model.wrenches is not None
         return model.wrenches(time)[body, part]
 
-    for k, item in enumerate(model.bodies[1:], start=1):
-        marker = model.mbs.AddMarker(MarkerBodyRigid(bodyNumber=item, localPosition=[0.0, 0.0, 0.0]))
-        force, torque = partial(load, k, slice(0, 3)), partial(load, k, slice(3, 6))
-        model.mbs.AddLoad(LoadForceVector(markerNumber=marker, loadVectorUserFunction=force))
-        model.mbs.AddLoad(LoadTorqueVector(markerNumber=marker, loadVectorUserFunction=torque))
+    for k in sorted(loaded - {0}):
+        item = MarkerBodyRigid(bodyNumber=model.bodies[k], localPosition=[0.0, 0.0, 0.0])
+        marker = model.mbs.AddMarker(item)
+        on_force, on_torque = partial(load, k, slice(0, 3)), partial(load, k, slice(3, 6))
+        model.mbs.AddLoad(LoadForceVector(markerNumber=marker, loadVectorUserFunction=on_force))
+        model.mbs.AddLoad(LoadTorqueVector(markerNumber=marker, loadVectorUserFunction=on_torque))

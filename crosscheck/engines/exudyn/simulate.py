@@ -16,7 +16,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import exudyn as exu
 import numpy as np
 
-from crosscheck.engines.exudyn.equations import ExudynSystem
+from crosscheck.engines.exudyn.running import RunningSystem
 from newton_euler.arguments import checked
 from newton_euler.equations.applied_forces import surroundings, with_likely_causes
 from newton_euler.equations.parameters import pieces, with_values
@@ -102,9 +102,9 @@ def simulate(
     if integrator not in INTEGRATORS:
         raise UnknownNameError("integrator", integrator, INTEGRATORS)
     largest = _checked_step(scene, step)
-    equations = ExudynSystem(scene)
+    equations = RunningSystem(scene)
     if left_out := dependent_rows(equations):
-        equations = ExudynSystem(scene, left_out)
+        equations = RunningSystem(scene, left_out)
     plan = [(interval, list(_parts(interval, largest))) for interval in intervals(scene, scene.jumps)]
     start = time.perf_counter()
     run = _Run(equations, integrator)
@@ -160,7 +160,7 @@ class _Run:
         outputs: the outputs.
     """
 
-    def __init__(self, equations: ExudynSystem, integrator: IntegratorName) -> None:
+    def __init__(self, equations: RunningSystem, integrator: IntegratorName) -> None:
         self._equations, self._integrator, self.outputs = equations, integrator, list[Output]()
         self._scene, self._mbs = equations.scene, equations.model.mbs
         self._q, self._v = equations.coordinates(initial_state(equations.scene))
@@ -253,7 +253,8 @@ class _Run:
         integration.generalizedAlpha.resetAccelerations = False
         integration.newton.relativeTolerance = 1e-10
         integration.newton.absoluteTolerance = 1e-12
-        integration.newton.useModifiedNewton = True
+        # Python evaluates equations of coordinates, of which full Newton steps need fewer
+        integration.newton.useModifiedNewton = not self._equations.model.equations
         return settings
 
     def _stopped(self, error: Exception) -> IntegrationError:
