@@ -22,11 +22,11 @@ ALLOWED = {
     "newton_euler": {"newton_euler"},
     "mjcf": {"newton_euler", "mjcf", "mujoco"},
     "urdf": {"newton_euler", "urdf", "pinocchio"},
-    "crosscheck": {"newton_euler", "mjcf", "urdf", "crosscheck", "rerun", "exudyn"},
+    "crosscheck": {"newton_euler", "mjcf", "urdf", "crosscheck", "rerun", "exudyn", "pydrake"},
 }
-WATCHED = {"newton_euler", "mjcf", "urdf", "crosscheck", "mujoco", "pinocchio", "rerun", "exudyn"}
+WATCHED = {"newton_euler", "mjcf", "urdf", "crosscheck", "mujoco", "pinocchio", "rerun", "exudyn", "pydrake"}
 
-OF_ONE_ENGINE = {"exudyn": "crosscheck.engines.exudyn"}
+OF_ONE_ENGINE = {"exudyn": "crosscheck.engines.exudyn", "pydrake": "crosscheck.engines.drake"}
 """Packages of optional engines, and the package that alone imports each of them."""
 
 

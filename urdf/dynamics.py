@@ -25,6 +25,7 @@ import pinocchio as pin
 
 from newton_euler.equations.coupling_equations import TreeCouplings
 from newton_euler.equations.dense import solve_constrained
+from newton_euler.equations.drives import drive_wrenches, joint_points
 from newton_euler.equations.load_friction import EngineFriction, HeldFriction
 from newton_euler.equations.model_control import EngineControl, roles, servo_forces
 from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out, with_zero_rows
@@ -49,13 +50,7 @@ from urdf.initial_pose import joint_geometry, mass_properties
 from urdf.loops import parse_loops
 from urdf.model import CoordinateMap, build, mass_matrix
 from urdf.proximal import ConstraintDynamics, Units
-from urdf.reactions import (
-    drive_wrenches,
-    external_forces,
-    joint_points,
-    joint_wrenches,
-    reactions,
-)
+from urdf.reactions import external_forces, joint_wrenches, reactions
 from urdf.write import closures, to_loops, to_urdf
 
 

@@ -23,7 +23,7 @@ SOLVER = newton_euler.ENGINE
 ENGINES: dict[str, Engine] = {engine.name: engine for engine in (SOLVER, mujoco.ENGINE, pinocchio.ENGINE)}
 """Engines by name that run unless others are named."""
 
-OPTIONAL: Mapping[str, str] = {"exudyn": "exudyn>=1.13,<2"}
+OPTIONAL: Mapping[str, str] = {"drake": "drake>=1.51,<2", "exudyn": "exudyn>=1.13,<2"}
 """Requirement, such as "drake>=1.51,<2", of each optional engine of this project, by name.
 
 The extra of the same name installs it. The module of the same name is imported if the installed version

@@ -137,6 +137,14 @@ class TreeCouplings:
         """Compute the second time derivatives (c,) of `value`."""
         return np.array([c.function.acceleration(time) if c.function else 0.0 for c in self.couplings])
 
+    def gamma(self, q: Array, v: Array, time: float) -> Array:
+        """Compute gamma (c,) of Phi_q dv/dt = gamma at q (nq,), v (nv,) and a time, s."""
+        gamma, x = self.acceleration(time), self._x(q)
+        rates = {key: v[place] for key, place in self._on_v.items()}
+        for k, coupling in enumerate(self.couplings):
+            gamma[k] -= coupling.curvature_term(x, rates)
+        return gamma
+
     def turned(self, q: Array, state: State, time: float) -> Array:
         """Return q (nq,) with full revolutions added to its angles, so that the couplings hold.
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from newton_euler.model.control import DeclaredLaw
 from newton_euler.model.digital_control import HeldLaw, Law
-from newton_euler.model.forces import BallSpring, JointSpring, PointSpring, Wrench
+from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import TimeFunction
 from newton_euler.model.plate_flow import CALM_SPEED
@@ -53,12 +53,13 @@ class Wrenches:
     Attributes:
         mechanism: mechanism of the bodies.
         frames: poses and velocities of the bodies.
+        time: s, of control laws and wind.
         total: (b, 6) forces and torques about the centers of mass, N and N m, world frame.
         magnitude: (b, 6) sums of the absolute values of the added wrenches; a scale for tolerances.
     """
 
-    def __init__(self, mechanism: Mechanism, state: State) -> None:
-        self.mechanism, self.frames, self._state = mechanism, state.frames(), state
+    def __init__(self, mechanism: Mechanism, state: State, time: float = 0.0) -> None:
+        self.mechanism, self.frames, self.time, self._state = mechanism, state.frames(), time, state
         self.total, self.magnitude = np.zeros((2, len(self.frames), 6))
 
     def _add(self, body: int, force: Array, torque: Array) -> None:
@@ -88,7 +89,7 @@ class Wrenches:
         return np.asarray(self._rotation_since_start(body) @ offset)
 
     def add_forces(self, scene: Scene, control: Sequence[float] | Array = ()) -> None:
-        """Add all forces of a scene except gravity, at time 0.
+        """Add all forces of a scene except gravity.
 
         Args:
             scene: scene with the forces.
@@ -96,38 +97,41 @@ class Wrenches:
                 Only the entries of laws that use a model of the mechanism (gravity compensation, computed
                 torque) are read, because this class does not compute their forces.
         """
-        # Forces along joint coordinates
-        for k, law in enumerate(scene.joint_forces):
+        for k, law in enumerate(scene.control):  # the first ones of `Scene.joint_forces`
             at = self._coordinate(*law.key)
             is_given = isinstance(law, DeclaredLaw) and law.uses_model
             self._add_along(at, control[k] if is_given else self._joint_force(law, at))
-        # Other force elements
         for force in scene.forces:
-            match force:
-                case JointSpring():
-                    pass  # already added: `Scene.joint_forces` has all joint springs
-                case JointFriction() | JointStop() | ElasticGear():
-                    motions = [self._coordinate(*key) for key in force.keys]
-                    load = switched_load(force, [at.value for at in motions], [at.rate for at in motions])
-                    for at, applied_force in zip(motions, load.forces, strict=True):
-                        self._add_along(at, applied_force)
-                case PointSpring():
-                    self._add_point_spring(force)
-                case BallSpring():
-                    self._add_ball_spring(force)
-                case Wrench():
-                    body = self.mechanism.body_index(force.body)
-                    rotation = self._rotation_since_start(body) if force.frame == "body" else np.eye(3)
-                    applied, torque = rotation @ force.force, rotation @ force.torque
-                    arm = self._lever_arm(body, force.point)
-                    self._add(body, applied, torque + np.cross(arm, applied))
-                case WindLoad():
-                    self._add_wind(force)
-                case _:
-                    assert_never(force)
+            self.add_force(force)
+
+    def add_force(self, force: Force) -> None:
+        """Add the force of one element that is no control law."""
+        match force:
+            case JointSpring():
+                at = self._coordinate(*force.key)
+                self._add_along(at, self._joint_force(force, at))
+            case JointFriction() | JointStop() | ElasticGear():
+                motions = [self._coordinate(*key) for key in force.keys]
+                load = switched_load(force, [at.value for at in motions], [at.rate for at in motions])
+                for at, applied_force in zip(motions, load.forces, strict=True):
+                    self._add_along(at, applied_force)
+            case PointSpring():
+                self._add_point_spring(force)
+            case BallSpring():
+                self._add_ball_spring(force)
+            case Wrench():
+                body = self.mechanism.body_index(force.body)
+                rotation = self._rotation_since_start(body) if force.frame == "body" else np.eye(3)
+                applied, torque = rotation @ force.force, rotation @ force.torque
+                arm = self._lever_arm(body, force.point)
+                self._add(body, applied, torque + np.cross(arm, applied))
+            case WindLoad():
+                self._add_wind(force)
+            case _:
+                assert_never(force)
 
     def _joint_force(self, law: Law | JointSpring, at: CoordinateMotion) -> float:
-        """Compute the force of a control law or a joint spring along its coordinate at time 0, N or N m.
+        """Compute the force of a control law or a joint spring along its coordinate, N or N m.
 
         Args:
             law: a spring; a sampled controller, whose force is held between samples (`HeldLaw`); or a law of
@@ -140,9 +144,9 @@ class Wrenches:
             return law.held
         if not isinstance(law, DeclaredLaw):
             assert_never(law)
-        force = float(law.feedforward_at(0.0))
+        force = float(law.feedforward_at(self.time))
         for key, (k_p, k_d) in law.feedback.items():
-            reference, measured = law.references(0.0)[key], self._coordinate(*key)
+            reference, measured = law.references(self.time)[key], self._coordinate(*key)
             force += k_p * (reference.value - measured.value) + k_d * (reference.rate - measured.rate)
         return force
 
@@ -193,13 +197,13 @@ class Wrenches:
         self._add(second, np.zeros(3), torque)
 
     def wind(self, load: WindLoad) -> Array:
-        """Compute the normal force (N) of the wind on a plate at time 0 and its two moments (N m), (3,), see
+        """Compute the normal force (N) of the wind on a plate and its two moments (N m), (3,), see
         `wind_on_plate`."""
         body = self.mechanism.body_index(load.body)
         frame, axes = self.frames[body], self._rotation_since_start(body) @ load.axes
         plate_velocity = frame.velocity + np.cross(frame.angular_velocity, self._lever_arm(body, load.point))
         speed, upward = (
-            each.value(0.0) if isinstance(each, TimeFunction) else each
+            each.value(self.time) if isinstance(each, TimeFunction) else each
             for each in (load.speed, load.vertical_speed)
         )
         wind_velocity = speed * load.direction / np.linalg.norm(load.direction) + [0.0, 0.0, upward]

@@ -1,0 +1,239 @@
+"""Drake as an engine: equations and runs against newton_euler's and closed forms, and what it refuses."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import ball_scenes
+import numpy as np
+import pytest
+from armed_scenes import COMPOUNDS, armed, sprung
+from elements import COUPLED, ELEMENTS
+from mechanisms import GRAVITY, bar, pendulum
+
+pytest.importorskip("pydrake")
+
+from crosscheck.compare.levels import compare_pair
+from crosscheck.compare.samples import Samples, States
+from crosscheck.engines.drake import ENGINE
+from crosscheck.engines.drake.equations import DrakeSystem
+from crosscheck.engines.drake.simulate import simulate
+from crosscheck.engines.registry import choose
+from crosscheck.library import SCENES, load
+from crosscheck.studies.conformance_tests import EngineConformance
+from newton_euler import simulate as reference
+from newton_euler.equations.relative import Relative
+from newton_euler.errors import OptionError, SingularityError, UnknownNameError
+from newton_euler.model.digital_control import Sampled
+from newton_euler.model.forces import PointSpring
+from newton_euler.model.joint_kinds import Fixed, Revolute
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.spanning_tree import SpanningTree
+from newton_euler.model.trajectory import IntegrationError, distance
+from newton_euler.reading.excitation import random_states
+from newton_euler.runs.assemble import initial_state
+
+FAST_SCENES = ("bricard", "chain", "four_bar", "heavy_top", "tracker_on_boat", "tracker_computed_torque")
+"""Scenes of the library whose equations are compared in the fast tests."""
+
+FAST_ELEMENTS = (
+    "planar, cut",
+    "screw, cut",
+    "rods",
+    "motion, cut",
+    "forces, slider_tree",
+    "friction of loaded joints",
+)
+"""Elements whose equations are compared in the fast tests."""
+
+ROTORS = ball_scenes.SCENES | {f"armed {name}": sprung(armed(scene)) for name, scene in COMPOUNDS.items()}
+"""Scenes with rotors, and with springs of Drake's own, on hinges, slides and balls."""
+
+
+class TestContract(EngineConformance):
+    engine = ENGINE
+
+
+def failures(scene, system, others=2):
+    """Return the checks at which a system of equations fails against newton_euler's, at several states."""
+    start = States(scene, (initial_state(scene),))
+    random = random_states(scene, others)
+    states = States(scene, tuple(random if start.is_singular else [*start.all, *random]))
+    pair = ("newton_euler", "drake")
+    checks = compare_pair(pair, [Samples(Relative(scene), states)], [Samples(system, states)])
+    return [(check.level, check.quantity) for check in checks if not check.agrees]
+
+
+@pytest.mark.parametrize("name", FAST_SCENES)
+def test_equations(name):
+    scene = load(name)
+    assert failures(scene, DrakeSystem(scene)) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(SCENES.keys() - set(FAST_SCENES)))
+def test_equations_of_the_other_scenes(name):
+    scene = load(name)
+    assert failures(scene, DrakeSystem(scene)) == []
+
+
+@pytest.mark.parametrize("name", FAST_ELEMENTS)
+def test_equations_of_elements(name):
+    scene = ELEMENTS[name]
+    assert failures(scene, DrakeSystem(scene)) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [*ELEMENTS, *COUPLED])
+def test_equations_of_all_elements(name):
+    scene = (ELEMENTS | COUPLED)[name]
+    assert failures(scene, DrakeSystem(scene)) == []
+
+
+@pytest.mark.parametrize("name", ROTORS)
+def test_rotors_and_springs(name):
+    scene = ROTORS[name]
+    assert failures(scene, DrakeSystem(scene), others=1) == []
+
+
+def test_springs_of_joints_and_points_are_those_of_drake():
+    scene = ELEMENTS["forces, slider_tree"]
+    springs = DrakeSystem(scene).placed.built.springs
+    assert {spring.kind for spring in springs} == {"joint_spring", "point_spring"}
+
+
+def test_a_wrong_force_of_newton_euler_is_found(monkeypatch):
+    """Drake's forces do not come from the methods that newton_euler's equations call."""
+    scene = load("tracker_wind")
+    kind = type(scene.body_forces[0])
+    right = kind.wrenches
+    monkeypatch.setattr(kind, "wrenches", lambda self, at: [(b, 1.01 * w) for b, w in right(self, at)])
+    found = failures(scene, DrakeSystem(scene), others=1)
+    assert ("dynamics", "effective force, rel") in found
+
+
+def test_a_mechanism_that_cannot_move():
+    body = Body("post", 2.0, [0.1, 0.2, 0.3], 0.1 * np.eye(3))
+    mechanism = Mechanism([Body.ground(), body], [Fixed("foot", "ground", "post", np.zeros(3))])
+    run = simulate(Scene("post", mechanism, 0.1, 0.1, [0.0, 0.0, -10.0]))
+    np.testing.assert_allclose(run.reaction_force[-1], [[0.0, 0.0, 20.0]], atol=1e-12)
+    np.testing.assert_allclose(run.reaction_torque[-1], [[4.0, -2.0, 0.0]], atol=1e-12)
+
+
+@pytest.mark.parametrize(("name", "duration"), [("pendulum", 2.0), ("four_bar", 0.3), ("tracker", 0.1)])
+def test_default_runs(name, duration):
+    scene = replace(load(name), duration=duration)
+    run, exact = ENGINE.simulate(scene), reference(scene, rtol=1e-12, atol=1e-14)
+    # both integrate with rtol 1e-10
+    assert distance(run, exact) < 1e-8
+    for quantity in ("reaction_force", "actuator_force", "work", "kinetic_energy"):
+        if (needed := getattr(exact, quantity)) is not None and needed.size:
+            found = getattr(run, quantity)
+            np.testing.assert_allclose(found, needed, atol=1e-7 * np.max(np.abs(needed)), err_msg=quantity)
+
+
+def test_a_refined_run_is_nearer():
+    scene = replace(load("pendulum"), duration=2.0)
+    exact = reference(scene, rtol=1e-13, atol=1e-15)
+    coarse, fine = (distance(run(scene), exact) for run in (ENGINE.simulate, ENGINE.refined))
+    assert fine < 0.1 * coarse
+
+
+def swing_with(law) -> Scene:
+    """A bar on a hinge with a control law."""
+    hinge = Revolute("hinge", "ground", "bar", np.zeros(3), axis=[0.0, 1.0, 0.2], actuated=True)
+    mechanism = Mechanism([Body.ground(), bar("bar", [0.0, 0.0, 0.0], [0.4, 0.1, 0.0])], [hinge])
+    return Scene("swing", mechanism, 0.5, 0.1, GRAVITY, control=(law,))
+
+
+def test_a_sampled_controller():
+    scene = swing_with(Sampled("hinge", lambda t, x, rate: 3.0 * np.cos(7.0 * t) - x[0], period=0.025))
+    run, exact = simulate(scene), reference(scene, rtol=1e-12, atol=1e-14)
+    assert distance(run, exact) < 1e-9
+    np.testing.assert_allclose(run.work, exact.work, atol=1e-9)
+
+
+def test_a_run_that_stops_has_its_outputs():
+    def controller(time, x, rate):
+        if time > 0.25:
+            raise ValueError("no more")
+        return 0.0
+
+    with pytest.raises(IntegrationError, match="no more") as caught:
+        simulate(swing_with(Sampled("hinge", controller, period=0.05)))
+    np.testing.assert_allclose(caught.value.partial.time, [0.0, 0.1, 0.2])
+
+
+def test_states_that_are_not_finite_do_not_end_the_process():
+    """Drake would end the process (in another one here, should it happen)."""
+    code = (
+        "import numpy as np\n"
+        "from crosscheck.engines.drake.equations import DrakeSystem\n"
+        "from crosscheck.library import load\n"
+        "from newton_euler.errors import SingularityError\n"
+        "from newton_euler.runs.assemble import initial_state\n"
+        "for name in ('pendulum', 'heavy_top'):\n"
+        "    scene = load(name)\n"
+        "    system = DrakeSystem(scene)\n"
+        "    q, v = system.coordinates(initial_state(scene))\n"
+        "    for bad in ((q + np.nan, v), (q, v + np.inf), (0.0 * q, v)):\n"
+        "        try:\n"
+        "            system.acceleration(*bad)\n"
+        "        except SingularityError as error:\n"
+        "            print(error.reason)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.count("the state is not finite") >= 5
+
+
+def test_a_diverging_run_stops():
+    scene = load("flyball_governor")
+    with pytest.raises(IntegrationError) as caught:
+        simulate(scene, "Euler", step=0.05)
+    assert caught.value.partial is not None
+
+
+@pytest.mark.parametrize(
+    ("settings", "error"),
+    [
+        ({"stabilization": "baumgarte"}, UnknownNameError),
+        ({"rest": 1e-3}, OptionError),
+        ({"alpha": 1.0}, UnknownNameError),
+    ],
+)
+def test_unknown_settings(settings, error):
+    with pytest.raises(error):
+        simulate(pendulum(), **settings)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_equations_have_no_limits(name):
+    assert ENGINE.limits(load(name)) == ()
+
+
+def test_an_error_of_drake_is_one_of_the_equations():
+    """Drake raises an exception for a spring of its own at length zero, where its force has no direction."""
+    scene = pendulum()
+    point = scene.mechanism.bodies[1].center_of_mass
+    spring = PointSpring(
+        "cord", "ground", scene.mechanism.body_names[1], point, point, stiffness=1.0, rest_length=0.1
+    )
+    system = DrakeSystem(replace(scene, forces=(spring,)))
+    with pytest.raises(SingularityError, match="Drake"):
+        system.acceleration(*system.coordinates(initial_state(scene)))
+
+
+@pytest.mark.parametrize(("name", "level"), [("four_bar", "model"), ("bricard", "kinematics")])
+def test_a_moved_anchor_is_found(name, level):
+    """Bricard's loop is cut at a hinge: a weld of two halves of a body closes it."""
+    scene = load(name)
+    closing = scene.mechanism.joint_names[SpanningTree(scene.mechanism).cuts[0]]
+    system = ENGINE.with_moved_anchor(scene, closing, np.array([0.0, 0.0, 1e-3]))
+    assert level in {found for found, _ in failures(scene, system)}
+
+
+def test_the_registry_has_the_engine():
+    assert choose(["drake"]) == [ENGINE]
