@@ -1,0 +1,77 @@
+"""Hooks of the site, called by MkDocs: mathematics as MathML, code to copy, folded tables of results.
+
+Formulas are written in LaTeX between dollar signs. They become MathML when the site is built, which browsers
+render without scripts, fonts or a network. `latex2mathml` converts them.
+"""
+
+from __future__ import annotations
+
+import html
+import re
+from typing import TYPE_CHECKING
+
+from latex2mathml.converter import convert
+
+if TYPE_CHECKING:
+    from mkdocs.structure.pages import Page
+
+FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
+NUMBER = re.compile(r"\\tag\{([^}]*)\}")
+
+CODE = re.compile(r'<div class="highlight">(.*?)</div>', re.DOTALL)
+OUTPUT = re.compile(r'<span class="go">.*?</span>', re.DOTALL)
+PROMPT = '<span class="gp">'
+
+TABLE = re.compile(r"<table>(.*?)</table>(\s*<p>Table: .*?</p>)?", re.DOTALL)
+MAX_OPEN_ROWS = 16
+"""Rows of the longest table of results that is shown unfolded."""
+
+
+def on_page_content(content: str, page: Page, **_: object) -> str:
+    """Convert formulas, mark the commands of console blocks, and fold long tables of results."""
+    content = FORMULA.sub(mathematics, content)
+    content = CODE.sub(copied, content)
+    if page.file.src_uri.startswith("results/"):
+        content = TABLE.sub(folded, content)
+    return content
+
+
+def mathematics(formula: re.Match[str]) -> str:
+    """Return the MathML of a formula, with its number (`\\tag`) at the right margin."""
+    latex = html.unescape(formula[2])
+    number = NUMBER.search(latex)
+    block = formula[1] == "div"
+    mathml = convert(NUMBER.sub("", latex).strip(), display="block" if block else "inline")
+    mathml = mathml.replace("<math ", f'<math aria-label="{html.escape(latex.strip())}" ', 1)
+    if not block:
+        return mathml
+    label = f'<span class="number">({number[1]})</span>' if number else ""
+    return f'<div class="formula">{mathml}{label}</div>'
+
+
+def copied(block: re.Match[str]) -> str:
+    """Give the copy button of a block with prompts its commands, without prompts and output.
+
+    The theme copies the attribute `data-copy` if a block has one.
+    """
+    if PROMPT not in block[1]:
+        return block[0]
+    lines = []
+    for line in OUTPUT.sub("", block[1]).split("\n"):
+        _, prompt, command = line.partition(PROMPT)
+        if prompt:
+            lines.append(html.unescape(re.sub(r"<[^>]*>", "", command.partition("</span>")[2])))
+    return f'<div class="highlight" data-copy="{html.escape(chr(10).join(lines))}">{block[1]}</div>'
+
+
+def folded(table: re.Match[str]) -> str:
+    """Fold a table with more than `MAX_OPEN_ROWS` rows below a line with its caption."""
+    rows = table[1].count("<tr>") - 1
+    if rows <= MAX_OPEN_ROWS:
+        return table[0]
+    heads = re.findall(r"<th[^>]*>(.*?)</th>", table[1], re.DOTALL)
+    caption = table[2] or f"Table: {', '.join(filter(None, heads))}"
+    caption = re.sub(r"<[^>]*>", "", caption).strip().removeprefix("Table: ").rstrip(".")
+    return (
+        f'<details class="table"><summary>{rows} rows: {caption}</summary><table>{table[1]}</table></details>'
+    )

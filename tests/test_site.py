@@ -1,0 +1,83 @@
+"""Site of the documentation: formulas, copied commands, folded tables, alternative texts."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from pathlib import Path
+from types import ModuleType
+from xml.etree import ElementTree
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+PAGES = sorted(str(page.relative_to(ROOT)) for page in (ROOT / "README.md", *ROOT.glob("docs/**/*.md")))
+
+FENCE = re.compile(r"^```.*?^```$|`[^`\n]*`", re.MULTILINE | re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def hooks() -> ModuleType:
+    """The hooks of the site, which MkDocs loads by their path."""
+    pytest.importorskip("latex2mathml")
+    spec = importlib.util.spec_from_file_location("hooks", ROOT / "docs" / "hooks.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_formulas_become_mathml_with_their_number(hooks):
+    source = r'<div class="arithmatex">\[J a &lt; \gamma \tag{3}\]</div>'
+    made = ElementTree.fromstring(hooks.FORMULA.sub(hooks.mathematics, source))
+    space = "{http://www.w3.org/1998/Math/MathML}"
+    assert [child.tag for child in made] == [f"{space}math", "span"]
+    assert made[0].get("display") == "block"
+    assert [each.text for each in made.iter(f"{space}mo")] == ["<"]
+    assert made[1].text == "(3)"
+
+
+def test_formulas_in_a_sentence_stay_in_it(hooks):
+    made = hooks.FORMULA.sub(hooks.mathematics, r'A <span class="arithmatex">\(q\)</span> b')
+    assert made.startswith("A <math ")
+    assert made.endswith("</math> b")
+
+
+def test_commands_are_copied_without_prompts_and_output(hooks):
+    block = (
+        '<div class="highlight"><pre><code><span class="gp">$ </span>crosscheck<span class="w"> </span>'
+        "run &lt;a&gt;\n"
+        '<span class="go">AGREE\nand more</span>\n<span class="gp">$ </span>ls\n</code></pre></div>'
+    )
+    copied = re.search('data-copy="([^"]*)"', hooks.CODE.sub(hooks.copied, block))
+    assert copied is not None
+    assert copied[1] == "crosscheck run &lt;a&gt;\nls"
+
+
+def test_blocks_without_prompts_are_copied_as_they_are(hooks):
+    block = '<div class="highlight"><pre><code>a = 1</code></pre></div>'
+    assert hooks.CODE.sub(hooks.copied, block) == block
+
+
+@pytest.mark.parametrize(("rows", "is_folded"), [(16, False), (17, True)])
+def test_long_tables_of_results_are_folded(hooks, rows, is_folded):
+    table = (
+        "<table><tr><th>model</th></tr>" + "<tr><td>1</td></tr>" * rows + "</table>\n<p>Table: masses.</p>"
+    )
+    made = hooks.TABLE.sub(hooks.folded, table)
+    assert made.startswith("<details") == is_folded
+    assert (f"<summary>{rows} rows: masses</summary>" in made) == is_folded
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_pictures_have_alternative_texts(page):
+    assert re.findall(r"!\[\s*\]\(.*?\)", (ROOT / page).read_text()) == []
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_formulas_are_closed(page):
+    """A dollar sign outside of code is part of a pair."""
+    if page != "README.md":
+        assert FENCE.sub("", (ROOT / page).read_text()).count("$") % 2 == 0
