@@ -10,11 +10,13 @@ from contextlib import suppress
 from functools import lru_cache, partial
 
 from crosscheck.engines.adaptive import expected_run
+from crosscheck.engines.benchmarks import Benchmarks
 from crosscheck.engines.engine import NO_SETTINGS, Engine, FixedSteps, Settings, without_forces
 from crosscheck.engines.exudyn.equations import ExudynSystem
 from crosscheck.engines.exudyn.limits import limits
 from crosscheck.engines.exudyn.simulate import MAX_STEP, simulate
 from crosscheck.engines.steps import halve_until_accurate
+from crosscheck.engines.stress import StressSettings
 from newton_euler.equations.system import System
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import StoppedError, Trajectory
@@ -82,6 +84,20 @@ def _with_moved_anchor(scene: Scene, joint: str, shift: Array) -> System:
     return ExudynSystem(scene, shifts={joint: shift})
 
 
+def _stress_settings() -> StressSettings:
+    """Import the settings of stress tests."""
+    from crosscheck.engines.exudyn.stress import STRESS
+
+    return STRESS
+
+
+def _benchmarks() -> Benchmarks:
+    """Import the benchmarks."""
+    from crosscheck.engines.exudyn.benchmark import BENCHMARKS
+
+    return BENCHMARKS
+
+
 # Generalized-alpha is of order 2: the errors of runs are measured by refined runs. Newton's iteration ends at
 # 1e-12, so that constraints hold to about 1e-10
 ENGINE = Engine(
@@ -99,4 +115,6 @@ ENGINE = Engine(
     refined_in_full=partial(_refined, in_full=True),
     fixed_steps=FixedSteps("generalized_alpha", lambda step: {"step": step}, steps=40),
     with_moved_anchor=_with_moved_anchor,
+    benchmarks=_benchmarks,
+    stress_settings=_stress_settings,
 )

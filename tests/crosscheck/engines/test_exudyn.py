@@ -305,3 +305,27 @@ def test_the_default_step_is_halved_for_fast_machines():
 
 def test_the_registry_has_the_engine():
     assert choose(["exudyn"]) == [ENGINE]
+
+
+def test_benchmarks():
+    scene = replace(load("pendulum"), duration=0.2)
+    (load_scene,) = ENGINE.benchmarks().models(scene).values()
+    model = load_scene()
+    for ladder in model.ladders:
+        _, options = ladder.setting(10)
+        run = model.run(options)
+        position, quaternion = run.poses()
+        exact = reference(scene)
+        np.testing.assert_allclose(position, exact.position, atol=1e-5)
+        np.testing.assert_allclose(quaternion, exact.quaternion, atol=1e-5)
+        assert run.evaluations == 200
+
+
+def test_settings_of_stress_tests():
+    stress, scene = ENGINE.stress(), replace(pendulum(), duration=0.1)
+    of_long_runs = [
+        each for by_duration in stress.long_runs.values() for of in by_duration.values() for each in of
+    ]
+    settings = [*stress.typical, *sum(stress.topics.values(), ()), *stress.stepped, *of_long_runs]
+    for options in settings:
+        assert ENGINE.simulate(scene, options).settings["integrator"] == options["integrator"]
