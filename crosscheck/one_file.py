@@ -31,7 +31,7 @@ class Importers(Shown):
     comparison: ImportersComparison
 
     def __getitem__(self, importer: str) -> ImporterComparison:
-        """Return what the importer of an engine, "MuJoCo" or "Pinocchio", makes of the file."""
+        """Return what the importer of an engine, such as "MuJoCo", makes of the file."""
         return {each.reading.importer: each for each in self.comparison.others}[importer]
 
     @property
@@ -54,7 +54,7 @@ class Importers(Shown):
 def importers(
     source: str | os.PathLike[str], *, progress: Callable[[str], None] = lambda stage: None
 ) -> Importers:
-    """Read a model file by the importers of MuJoCo, of Pinocchio and of crosscheck, and compare the robots.
+    """Read a model file by the importers of all installed engines and of crosscheck, and compare the robots.
 
     Each importer runs in its own process: a refusal or a crash of one is part of the result.
 

@@ -15,11 +15,11 @@ from crosscheck.report.render import as_json
 @folder_option("output/importers/FILE")
 @verbose_option
 def importers_command(file: str, output: Path | None) -> int:
-    """Compare what the importers of MuJoCo, Pinocchio and crosscheck read in one file.
+    """Compare what the importers of all engines and of crosscheck read in one file.
 
-    FILE is an MJCF or URDF file. Each engine reads it by its own importer, in its own process. The robots of
-    MuJoCo and Pinocchio are compared with the one that crosscheck reads, as in `crosscheck diff`. What an
-    importer leaves out by its documentation, such as actuators, is listed apart.
+    FILE is an MJCF or URDF file. Each installed engine, such as MuJoCo and Pinocchio, reads it by its own
+    importer, in its own process. The robots are compared with the one that crosscheck reads, as in
+    `crosscheck diff`. What an importer leaves out by its documentation, such as actuators, is listed apart.
 
     The exit status is 0 if all importers read the same robot, also to rounding. It is 1 if one reads another
     robot, refuses the file or crashes.

@@ -19,6 +19,7 @@ from crosscheck.cli.shared import (
     AGREE,
     DISAGREE,
     REDUCED,
+    UNFINISHED,
     cli,
     engines_option,
     folder_option,
@@ -120,7 +121,7 @@ def controllers_command(
 
     SCENE is the name of a library scene or a model file (see run). A scene with the option `controller` is
     simulated with each value of the option. The default scene takes 12 runs and some minutes, or seconds with
-    --engines newton_euler.
+    --engines newton_euler. The exit status is 3 if an engine cannot make one of the runs.
     """
     from crosscheck.design.controllers import CONTROLLERS_FILES, compared, write
     from crosscheck.engines.registry import ENGINES
@@ -134,10 +135,11 @@ def controllers_command(
         sources=[scene],
     )
     with progress_shown() as progress:
-        report = write(compared(scene, options, engines or list(ENGINES), progress), paths, scene, options)
+        rows, missing = compared(scene, options, engines or list(ENGINES), progress)
+        report = write(rows, missing, paths, scene, options)
     more = f"more  {next_step('report', paths[0].parent)}"
     show(report, "wrote " + ", ".join(map(str, paths)), more)
-    return AGREE
+    return UNFINISHED if missing else AGREE
 
 
 @cli.command("loads")

@@ -78,8 +78,24 @@ def list_command(scene: str | None, settings: tuple[str, ...]) -> int:
     say(f"limits of whatever is read and run{':' if is_verbose() else ', such as time=600: list -v'}")
     for name, limit in LIMITS.items() if is_verbose() else ():
         say(f"    --set {name}={limit.unit.upper()}, {limit.meaning}  [default: {limit}]")
-    say(f"engines: {', '.join(names())}")
+    say("engines:")
+    for name in names():
+        say(f"    {name}: {_engine_text(name)}")
     return AGREE
+
+
+def _engine_text(name: str) -> str:
+    """Return package and version of an engine, or why it cannot be used."""
+    from importlib.metadata import version
+
+    from crosscheck.engines.registry import ENGINES, EngineError, choose
+
+    try:
+        (engine,) = choose([name])
+    except EngineError as error:
+        return f"cannot be used: {str(error).removeprefix(f'engine {name!r}').lstrip(':, ')}"
+    default = ", runs by default" if name in ENGINES else ""
+    return f"{engine.package} {version(engine.package)}{default}"
 
 
 def _parameter_lines(scene: Scene) -> Iterator[str]:

@@ -25,8 +25,7 @@ from crosscheck.compare.singularity import SingularConfigurations, find_singular
 from crosscheck.compare.wording import verdict_of
 from crosscheck.engines.engine import Engine
 from crosscheck.engines.engine_runs import Stop, collecting_errors, run_engines, stops_text
-from crosscheck.engines.limits import require_expressed
-from crosscheck.engines.usable import divide
+from crosscheck.engines.usable import divide, require_scene
 from crosscheck.own_run.judge import Judgement, judge
 from crosscheck.support.errors import CrosscheckError, reason_of
 from crosscheck.support.time_limits import SHORTER_RUN_ADVICE, limited
@@ -217,7 +216,7 @@ def _usable_engines(scene: Scene, engines: Sequence[Engine]) -> tuple[list[Engin
     """
 
     def make_equations(engine: Engine) -> None:
-        require_expressed(engine.name, engine.limits(scene))
+        require_scene(engine, scene)
         engine.systems(scene)
 
     cached = [

@@ -11,17 +11,30 @@ import csv
 import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from crosscheck.engines.engine import Engine
 from crosscheck.engines.registry import choose
+from crosscheck.engines.usable import Reasons, failure, require_scene
 from crosscheck.library import SCENES, load
 from crosscheck.library.options import options_of
 from crosscheck.report.render import as_json
-from crosscheck.report.table import Cell, Column, Report, Rows, Table, number_columns, text_columns
+from crosscheck.report.table import (
+    Cell,
+    Column,
+    Lines,
+    Part,
+    Report,
+    Rows,
+    Table,
+    number_columns,
+    text_columns,
+)
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.files import write_files
 from crosscheck.support.time_limits import with_progress
@@ -157,8 +170,8 @@ class ControllerRun(NamedTuple):
 
 def compared(
     scene: str, given: Mapping[str, str | float], engines: Sequence[str], progress: Callable[[str], None]
-) -> list[ControllerRun]:
-    """Run a scene with each of its controllers in each engine.
+) -> tuple[list[ControllerRun], list[str]]:
+    """Run a scene with each of its controllers in each engine that can be used.
 
     Args:
         scene: name or file of the scene.
@@ -167,9 +180,13 @@ def compared(
         progress: called with the name of each stage.
 
     Returns:
-        A row for each controller, engine and kind of coordinate that has targets, in this order.
+        A row for each controller, engine and kind of coordinate that has targets, in this order, and a line
+        for each run that is missing, with the reason.
+
+    Raises:
+        CrosscheckError, NewtonEulerError: the first reason, if there is no run at all.
     """
-    rows = []
+    rows, missing, errors = list[ControllerRun](), list[str](), Reasons()
     pairs = list(product(controllers(scene, given), choose(engines)))
     for (name, loaded), engine in with_progress(pairs, progress, "run"):
         with_outputs = replace(
@@ -177,20 +194,30 @@ def compared(
             output_period=min(loaded.output_period, loaded.duration / MIN_OUTPUTS),
             outputs=frozenset({"actuation"}),
         )
-        found = performance(loaded, engine.simulate(with_outputs))
-        rows += [ControllerRun(name, engine.name, kind, each) for kind, each in found.items()]
-    return rows
+        if error := failure(engine, partial(_run, name, with_outputs, rows)):
+            missing.append(f"{name}: no run: {error}")
+            errors.setdefault(engine.name, error)
+    if not rows:
+        raise next(iter(errors.values()))
+    return rows, missing
 
 
-def report(source: str, rows: Sequence[ControllerRun]) -> Report:
+def _run(controller: str, scene: Scene, rows: list[ControllerRun], engine: Engine) -> None:
+    """Simulate a scene in an engine, and append the performance of its controller to `rows`."""
+    require_scene(engine, scene)
+    found = performance(scene, engine.simulate(scene))
+    rows += [ControllerRun(controller, engine.name, kind, each) for kind, each in found.items()]
+
+
+def report(source: str, rows: Sequence[ControllerRun], missing: Sequence[str]) -> Report:
     """Make the report: a table for slides if slides have targets, and one for hinges if hinges have targets.
 
     Args:
         source: name or file of the scene.
-        rows: results of `compared`.
+        rows, missing: results of `compared`.
     """
     kinds, names = ({getattr(row, field): None for row in rows} for field in ("kind", "controller"))
-    tables = []
+    tables: list[Part] = []
     for kind in kinds:
         cells: Rows = []
         for row in (row for row in rows if row.kind == kind):
@@ -198,6 +225,8 @@ def report(source: str, rows: Sequence[ControllerRun]) -> Report:
                 cells.append(row.controller)
             cells.append([f"  {row.engine}", *(f"{value:.3g}" for value in row.performance)])
         tables.append(Table(kind if len(kinds) > 1 else "", columns(kind), cells))
+    if missing:
+        tables.append(Lines("", list(missing)))
     first = min(
         (row for row in rows if row.kind == next(iter(kinds))), key=lambda row: row.performance.error_rms
     )
@@ -209,18 +238,22 @@ def report(source: str, rows: Sequence[ControllerRun]) -> Report:
 
 
 def write(
-    rows: Sequence[ControllerRun], paths: Sequence[Path], source: str, options: Mapping[str, str]
+    rows: Sequence[ControllerRun],
+    missing: Sequence[str],
+    paths: Sequence[Path],
+    source: str,
+    options: Mapping[str, str],
 ) -> Report:
     """Write the results of `compared`, and return the report.
 
     Args:
-        rows: the results.
+        rows, missing: the results.
         paths: paths of `CONTROLLERS_FILES`, in their order.
         source: name or file of the scene.
         options: options of the scene.
     """
     results, table = paths
-    made = report(source, rows)
+    made = report(source, rows, missing)
     runs = [
         {"controller": row.controller, "engine": row.engine, "kind": row.kind, **row.performance._asdict()}
         for row in rows
@@ -229,7 +262,7 @@ def write(
     writer = csv.DictWriter(text, list(runs[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(runs)
-    content = {"source": source, "options": dict(options), "units": UNITS, "runs": runs}
+    content = {"source": source, "options": dict(options), "units": UNITS, "runs": runs, "missing": missing}
     write_files({results: as_json(content, made), table: text.getvalue().encode()})
     return made
 

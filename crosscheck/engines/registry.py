@@ -40,7 +40,18 @@ NAME: Final = re.compile("[a-z][a-z0-9_]*")
 """Form of the names of engines, which are names of files, too."""
 
 RESERVED: Final = frozenset(
-    {ALL, "relative", "cartesian", "model", "integrators", "own_run", "reference", "baseline", "file"}
+    {
+        ALL,
+        "crosscheck",
+        "relative",
+        "cartesian",
+        "model",
+        "integrators",
+        "own_run",
+        "reference",
+        "baseline",
+        "file",
+    }
 )
 """Names that stand for something else in results and baselines."""
 

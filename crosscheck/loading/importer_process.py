@@ -1,7 +1,8 @@
 """Read a model file by one importer, in a process of its own: importers crash.
 
-Usage: `python -m crosscheck.loading.importer_process IMPORTER FILE RESULT`. The process writes a `Reading`
-to RESULT. The operating system limits its processor time and its memory, since a file may be hostile.
+Usage: `python -m crosscheck.loading.importer_process IMPORTER FILE RESULT ENGINE`. ENGINE is the name of the
+engine of the importer; other engines are not loaded. The process writes a `Reading` to RESULT. The operating
+system limits its processor time and its memory, since a file may be hostile.
 """
 
 from __future__ import annotations
@@ -14,30 +15,35 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+from crosscheck.engines.registry import choose
 from crosscheck.library.model_files import SUFFIXES
-from crosscheck.loading.importers import MAX_PROCESSOR_S, OWN, Failure, Reading, importers
+from crosscheck.loading.importers import MAX_PROCESSOR_S, OWN, Failure, Reading
 from newton_euler.limits import size_in_bytes
 from newton_euler.model.source_file import SourceError
 from newton_euler.reading.robot import RobotFile
 
 
-def _describe(importer: str) -> Callable[[str], RobotFile]:
-    """Return the function that describes the robot of a file as an importer reads it."""
-    if importer == OWN:
+def _describe(name: str) -> Callable[[str], RobotFile]:
+    """Return the function that describes the robot of a file as the importer of an engine reads it.
+
+    Args:
+        name: name of the engine, or `OWN`.
+    """
+    if name == OWN:
         from crosscheck.library.model_files import is_urdf_file
         from crosscheck.loading.robots import describe_model
 
         # as the other importers, this one follows references to any folder
         any_folder = {"root": os.path.abspath(os.sep)}
         return lambda path: describe_model(path, {} if is_urdf_file(path) else any_folder)
-    found = importers()[importer].importer
-    assert found is not None
-    return found.describe
+    (engine,) = choose([name])
+    assert engine.importer is not None
+    return engine.importer.describe
 
 
 def main() -> None:
     """Read a file by one importer in this process, and write its `Reading` to another file."""
-    importer, path, result = sys.argv[1], sys.argv[2], sys.argv[3]
+    importer, path, result, engine = sys.argv[1:5]
     with suppress(ImportError):  # Windows has no limits of resources
         import resource
 
@@ -47,7 +53,7 @@ def main() -> None:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     try:
         # all importers read the same text, so that its digits leave nothing open
-        reading = Reading(importer, replace(_describe(importer)(path), variants=()))
+        reading = Reading(importer, replace(_describe(engine)(path), variants=()))
     except SourceError as error:
         # an error of a file that the file includes has the path of that file
         is_refused = Path(error.path).suffix.lower() in SUFFIXES

@@ -13,7 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from crosscheck.engines.engine import Engine
-from crosscheck.engines.registry import ENGINES
+from crosscheck.engines.registry import ALL, choose
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.source_file import SourceError, path_text, read_text
 from newton_euler.reading.robot import RobotFile
@@ -33,8 +33,13 @@ OWN = "crosscheck"
 
 
 def importers() -> dict[str, Engine]:
-    """Return the engines that have an importer, by its name in texts."""
-    return {engine.label: engine for engine in ENGINES.values() if engine.importer is not None}
+    """Return the installed engines that have an importer, by its name in texts."""
+    found: dict[str, Engine] = {}
+    for engine in choose([ALL]):
+        if engine.importer is not None:
+            is_free = engine.label and engine.label not in (OWN, *found)
+            found[engine.label if is_free else engine.name] = engine
+    return found
 
 
 class Failure(StrEnum):
@@ -81,32 +86,40 @@ def read_by_all(source: str | os.PathLike[str]) -> list[Reading]:
         raise CrosscheckError(f"{path}: no model file; needed: a name that ends in {', '.join(SUFFIXES)}")
     read_text(path, limit="file_size", error=SourceError)
     with TemporaryDirectory() as folder:
-        processes = [(importer, _start(importer, path, Path(folder))) for importer in (OWN, *importers())]
+        names = {OWN: OWN} | {label: engine.name for label, engine in importers().items()}
+        processes = [
+            (importer, _start(importer, engine, path, Path(folder))) for importer, engine in names.items()
+        ]
         try:
-            return [_reading(importer, process, Path(folder)) for importer, process in processes]
+            return [
+                _reading(importer, names[importer], process, Path(folder)) for importer, process in processes
+            ]
         finally:
             for _, process in processes:
                 process.kill()
                 process.wait()
 
 
-def _start(importer: str, path: str, folder: Path) -> subprocess.Popen[bytes]:
-    """Start the process of an importer; its reading and its standard error become files in a folder."""
+def _start(importer: str, engine: str, path: str, folder: Path) -> subprocess.Popen[bytes]:
+    """Start the process of an importer; its reading and its standard error become files in a folder.
+
+    The files have the name of the engine; `OWN` for crosscheck's importer.
+    """
     # -P and the search path of this process without "", the current folder, whose modules may be a stranger's
-    command = [sys.executable, "-P", "-m", PROCESS, importer, path, str(folder / importer)]
+    command = [sys.executable, "-P", "-m", PROCESS, importer, path, str(folder / engine), engine]
     search_path = os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, sys.path)])
     environment = os.environ | {"PYTHONPATH": search_path, "OPENBLAS_NUM_THREADS": "1"}
-    with open(folder / f"{importer}.txt", "wb") as log:
+    with open(folder / f"{engine}.txt", "wb") as log:
         return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=environment)
 
 
-def _reading(importer: str, process: subprocess.Popen[bytes], folder: Path) -> Reading:
+def _reading(importer: str, engine: str, process: subprocess.Popen[bytes], folder: Path) -> Reading:
     """Wait for the process of an importer, and return its reading."""
     try:
         status = process.wait(MAX_WAIT_S)
     except subprocess.TimeoutExpired:
         return Reading(importer, None, Failure.CRASHED, f"not done after {MAX_WAIT_S} s")
-    result = folder / importer
+    result = folder / engine
     if status == 0:
         found: Reading = pickle.loads(result.read_bytes())
         return found
@@ -116,6 +129,6 @@ def _reading(importer: str, process: subprocess.Popen[bytes], folder: Path) -> R
         end = f"{signal.strsignal(-status)} ({signal.Signals(-status).name})"
     else:
         end = f"its process ends with exit status {status}"
-    lines = (folder / f"{importer}.txt").read_text(errors="replace").split("\n")
+    lines = (folder / f"{engine}.txt").read_text(errors="replace").split("\n")
     last = next((line.strip() for line in reversed(lines) if line.strip()), "")
     return Reading(importer, None, Failure.CRASHED, f"{end}: {last:.300}" if last else end)

@@ -5,28 +5,38 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 from command_line import run
+from mechanisms import mass_on_rail
 
+from crosscheck import importers
 from crosscheck.compare.outcome import Outcome
+from crosscheck.engines.benchmarks import Benchmarks
 from crosscheck.engines.engine import no_systems
-from crosscheck.engines.limits import Limit
+from crosscheck.engines.limits import CannotExpressError, Limit
 from crosscheck.engines.palette import line_of, palette
-from crosscheck.engines.registry import ENGINES, SOLVER
+from crosscheck.engines.registry import ENGINES, SOLVER, choose
 from crosscheck.library import load
+from crosscheck.library.scene_file import write_scene
 from crosscheck.pytest_plugin import CheckedModel
 from crosscheck.regress import measure
 from crosscheck.regress.baseline import read_baseline
 from crosscheck.regress.compare import compare
 from crosscheck.regress.report import junit, report
 from crosscheck.regress.run import GuardedScene, engines_of, update_baselines
+from crosscheck.studies.benchmark import run as benchmarks
+from crosscheck.studies.benchmark.run import BenchmarkRequest
+from crosscheck.studies.faults.find import FaultFree
 from crosscheck.studies.stress import cases
 from crosscheck.studies.stress.topics import TOPICS, cases_of
 from crosscheck.support.colors import OTHER_COLORS
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.verdict import check
+from newton_euler.model.control import PD
 
 TOY = replace(SOLVER, name="toy", package="click", color="", line=(":", 3.0))
 OWN_COLOR = replace(TOY, name="colored", color="#123456")
@@ -64,7 +74,7 @@ def no_loops(scene):
     return [Limit(f"joint {joints[-1]!r}", "no loops")] if len(joints) >= len(bodies) else []
 
 
-def broken():
+def broken(*_):
     raise RuntimeError("no license")
 
 
@@ -103,6 +113,81 @@ def test_every_topic_has_cases_of_an_engine_with_no_settings(with_engines):
     assert result.verdict == "not expressed"
     result = cases.run_case(next(iter(cases_of("i", False, [bare]))))
     assert result.passes
+
+
+# Other commands
+
+
+def refusing(scene):
+    return [Limit("joint 'pivot'", "no hinges")]
+
+
+OLD = replace(TOY, name="old", min_version="9999")
+LIMITED = replace(TOY, name="limited", limits=refusing)
+FAULTY = replace(TOY, name="faulty", limits=lambda scene: [], systems=broken, simulate=broken)
+BARE = replace(TOY, name="bare", benchmarks=Benchmarks)
+
+
+def test_list_has_a_line_of_each_engine(with_engines, capsys):
+    with_engines(TOY, OLD)
+    lines = run(capsys, "list")[1].split("engines:\n")[1].splitlines()
+    assert [line.split(":")[0].strip() for line in lines] == [*ENGINES, "old", "toy"]
+    assert lines[-1] == f"    toy: click {version('click')}"
+    assert "cannot be used: package click has version" in lines[-2]
+
+
+def test_controllers_leave_out_an_engine_that_cannot_run(with_engines, capsys, tmp_path):
+    with_engines(TOY, OLD, LIMITED, FAULTY)
+    scene = mass_on_rail(duration=0.1, control=(PD("rail", 100.0, 20.0, 0.1),))
+    write_scene(scene, tmp_path / "rail.yaml")
+    arguments = ("controllers", tmp_path / "rail.yaml", "--output", tmp_path, "--engines")
+    status, out, err = run(capsys, *arguments, "all")
+    assert (status, err) == (3, "")
+    content = json.loads((tmp_path / "controllers.json").read_text())
+    assert [row["engine"] for row in content["runs"]] == [*ENGINES, "toy"]
+    reasons = ("faulty: internal error", "no hinges", "click>=9999")
+    for reason, line in zip(reasons, content["missing"], strict=True):
+        assert reason in line
+    assert "no hinges" in out
+    status, out, err = run(capsys, *arguments, "limited")
+    assert (status, out) == (2, "")
+    assert "no hinges" in err
+
+
+def test_benchmarks_leave_out_an_engine_that_cannot_run(with_engines, tmp_path):
+    with_engines(TOY, OLD, LIMITED, BARE)
+    old = next(engine for engine in choose(["all"]) if engine.name == "old")
+    engines = [TOY, LIMITED, BARE, old]
+    wanted = BenchmarkRequest(load("pendulum"), "pendulum", {}, engines, 1e-6)
+    usable, reasons = benchmarks._of_usable_engines(wanted)
+    assert usable.engines == [TOY]
+    assert set(reasons) == {"limited", "bare", "old"}
+    with pytest.raises(CannotExpressError):
+        benchmarks._of_usable_engines(wanted._replace(engines=[LIMITED]))
+
+
+def test_faults_leave_out_an_engine_that_cannot_run(with_engines):
+    with_engines(LIMITED, FAULTY)
+    found = FaultFree(load("pendulum"), [SOLVER, TOY, LIMITED, FAULTY])
+    assert set(found.engines) == {"newton_euler", "toy"}
+    assert set(found.refusals) == {"limited", "faulty"}
+
+
+def test_importers_of_other_packages_take_part(monkeypatch, tmp_path):
+    """The importer runs in a process of its own, which finds the package by itself."""
+    (tmp_path / "toy_package.py").write_text(
+        "from dataclasses import replace\n"
+        "from crosscheck.engines.registry import ENGINES\n"
+        "ENGINE = replace(ENGINES['mujoco'], name='toy', label='Toy 1/2')\n"
+    )
+    info = tmp_path / "toy_package-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: toy-package\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[crosscheck.engines]\ntoy = toy_package:ENGINE\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    found = importers(Path(__file__).parents[2] / "examples" / "linkage.xml")
+    assert found["Toy 1/2"].result is found["MuJoCo"].result is Outcome.SAME
+    assert "Toy 1/2" in found.report.verdict
 
 
 # Baselines

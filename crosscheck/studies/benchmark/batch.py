@@ -155,7 +155,7 @@ def benchmark_batch(
 
     Args:
         given: the scene, with its own outputs.
-        engines: engines; those without batches are left out.
+        engines: engines; those without batches are among the `missing` ones.
         runs: number of runs of a batch.
         error: largest allowed error of a run, m and rad.
         progress: called with the name of each stage.
@@ -184,7 +184,7 @@ def benchmark_batch(
             continue
         try:
             if (make := engine.benchmarks().batch) is None:
-                continue
+                raise CrosscheckError("it has no batches")
             other = make(scene, given.output_period)
             setting = fastest_setting(other, known, poses, error, progress)
         except (NewtonEulerError, CrosscheckError) as reason:

@@ -13,8 +13,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from crosscheck.engines.benchmarks import Models, poses_only
+from crosscheck.engines.benchmarks import Benchmarks, Models, poses_only
 from crosscheck.engines.engine import Engine
+from crosscheck.engines.registry import EngineError
+from crosscheck.engines.usable import divide, require_scene
 from crosscheck.library.options import titled
 from crosscheck.report.output import usual_folder
 from crosscheck.report.render import as_json
@@ -103,6 +105,7 @@ def bench(
     paths = [path for path in (json_path, plot_path) if path]
     check_no_source(paths, [wanted.source])
     check_writable(*paths)
+    wanted, left_out = _of_usable_engines(wanted)
     # Measure; the load of the machine by other programs is that before the measurement
     machine_data = machine(wanted.engines)
     found = measure_kind(wanted, progress)
@@ -110,15 +113,34 @@ def bench(
     processor, cores, load = (machine_data[name] for name in ("processor", "cores", "load"))
     head = f"{processor}, {cores} cores, load {load:g} by others"
     heading = Lines(title="", lines=[head])
-    parts = [heading, *found.parts]
-    summary = [*(found.parts if found.summary is None else found.summary), heading]
+    missing = [Lines("", [f"left out: {reason}" for reason in left_out.values()])] if left_out else []
+    parts = [heading, *found.parts, *missing]
+    summary = [*(found.parts if found.summary is None else found.summary), *missing, heading]
     no_judgment = Cell("")  # a benchmark has no result in one word, such as AGREE
     whole = Report(f"bench {wanted.title}", found.verdict, no_judgment, parts, summary=summary)
     pictures = {plot_path: found.picture} if plot_path and found.picture else {}
-    data = {"source": wanted.source, "options": dict(wanted.options), "machine": machine_data, **found.data}
+    data = {
+        "source": wanted.source,
+        "options": dict(wanted.options),
+        "machine": machine_data,
+        "left_out": left_out,
+    }
+    data |= found.data
     # the JSON file has the SHA-256 of the plot
     write_files({json_path: as_json(data, whole, files=pictures), **pictures})
     return whole, paths
+
+
+def _of_usable_engines(wanted: BenchmarkRequest) -> tuple[BenchmarkRequest, dict[str, str]]:
+    """Return the request for the engines that can express the scene, and the reasons of the others."""
+
+    def load(engine: Engine) -> None:
+        require_scene(engine, wanted.scene)
+        if engine.benchmarks() == Benchmarks():
+            raise EngineError(f"{engine.name} has no benchmarks")
+
+    usable, errors = divide(wanted.engines, load)
+    return wanted._replace(engines=usable), {name: str(error) for name, error in errors.items()}
 
 
 def _whole_runs(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkResult:

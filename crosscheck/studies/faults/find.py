@@ -28,6 +28,7 @@ from crosscheck.compare.outlier import diagnose
 from crosscheck.compare.samples import Samples, States
 from crosscheck.engines.engine import Engine
 from crosscheck.engines.registry import ENGINES, EngineError, choose
+from crosscheck.engines.usable import Reasons, failure, require_scene
 from crosscheck.studies.faults.catalog import FAULT_SIZES, Fault, catalog
 from crosscheck.studies.faults.misreadings import ALL_BODIES, misreadings
 from crosscheck.studies.faults.velocity_terms import without_velocity_term
@@ -237,19 +238,13 @@ class FaultFree:
         # Equations of each engine, in the first of its formulations (choices of coordinates)
         self.scene, self.samples = scene, samples_of(scene)
         self.engines: dict[str, Engine] = {}
-        self.refusals: dict[str, NewtonEulerError | EngineError] = {}
+        self.refusals: Reasons = {}
         self._samples_of_engine: dict[str, Samples] = {}
         for engine in ENGINES.values() if engines is None else engines:
-            try:
-                system, *_ = engine.systems(scene) or (None,)
-            except (NewtonEulerError, EngineError) as error:
+            if error := failure(engine, self._evaluate):
                 self.refusals[engine.name] = error
-                continue
-            if system is None:
-                self.refusals[engine.name] = EngineError(f"{engine.name} has no equations of motion")
-                continue
-            self.engines[engine.name] = engine
-            self._samples_of_engine[engine.name] = Samples(system, self.samples.states)
+            else:
+                self.engines[engine.name] = engine
         # Checks of each pair of engines, which must all pass
         pairs = combinations(self._samples_of_engine, 2)
         self._checks = {
@@ -262,6 +257,14 @@ class FaultFree:
                         f"{one} and {other} differ on scene {scene.name!r} without a fault, at level "
                         f"{check.level!r}: {check.quantity}; for details run `crosscheck run`"
                     )
+
+    def _evaluate(self, engine: Engine) -> None:
+        """Make the equations of an engine, and keep them with the states."""
+        require_scene(engine, self.scene)
+        system, *_ = engine.systems(self.scene) or (None,)
+        if system is None:
+            raise EngineError(f"{engine.name} has no equations of motion")
+        self._samples_of_engine[engine.name] = Samples(system, self.samples.states)
 
     def _compare(
         self, pair: tuple[str, str], samples: dict[str, Samples], levels: Sequence[Level]

@@ -227,7 +227,7 @@ def test_pictures_are_of_what_is_printed(tracker, tmp_path, capsys, monkeypatch)
     monkeypatch.setattr("crosscheck.studies.benchmark.run.reference", lambda *_: found.reference)
     monkeypatch.setattr("crosscheck.studies.benchmark.run.measure", lambda *_: found.measured)
     where = {"processor": "one", "cores": 2, "load": 0.0}
-    monkeypatch.setattr("crosscheck.studies.benchmark.run.machine", lambda: where)
+    monkeypatch.setattr("crosscheck.studies.benchmark.run.machine", lambda engines: where)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")
     content = digest(words(run(capsys, "bench", "tracker")[1]))
