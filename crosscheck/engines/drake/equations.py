@@ -400,8 +400,7 @@ class DrakeSystem:
             frames: frames of the bodies.
             transmitted: wrench (6,) of each joint of the tree on its child, about the origin of the world.
             of_loops: wrenches (6,) of the joints that close loops on their second bodies, about the anchors,
-            by
-                number of the joint.
+                by number of the joint.
             drives: (nv,) forces of drives, N or N m.
         """
         points, count = joint_points(self.mechanism, frames), len(self.mechanism.joints)
@@ -409,8 +408,7 @@ class DrakeSystem:
         for joint, wrench in of_loops.items():
             if joint < count:  # welds between the halves of cut bodies follow
                 found[joint] = wrench
-        # columns: velocities of the children's material points at the origin of the world, per velocity of
-        # the tree joint
+        # columns: velocities of the children's material points at the origin of the world, and angular ones
         columns, on_axes = np.zeros((6, self.nv)), drives.copy()
         for tree_joint, wrench in zip(self.tree.joints, transmitted, strict=True):
             of_child = self.placed.jacobian(self._frames[tree_joint.child - 1])[:, tree_joint.v]

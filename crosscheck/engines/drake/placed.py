@@ -120,8 +120,8 @@ class PlacedPlant:
     def bias(self, frame: Any) -> Array:
         """Return the acceleration (6,) of a frame for dv/dt = 0.
 
-        Velocities of balls are w in the tree and R w in Drake. The rotation R turns with R w, so that dw/dt =
-        0 means that Drake's rates are zero, too.
+        Velocities of balls are w in the tree and R w in Drake. The rotation R turns with R w, so that Drake's
+        rates are zero, too, if dw/dt = 0.
         """
         found = self.plant.CalcBiasSpatialAcceleration(
             self.context, KV, frame, np.zeros(3), self._world, self._world
@@ -176,8 +176,7 @@ class PlacedPlant:
             reactions = self.plant.get_reaction_forces_output_port().Eval(self.context)
         found = np.zeros((len(self.built.last), 6))
         for wrench, joint in zip(found, self.built.last, strict=True):
-            # Drake's reaction is on the child, at the joint's frame on the child, and in the axes of that
-            # frame
+            # Drake's reaction is on the child, at the joint's frame there, and in the axes of this frame
             point, turn = self.pose(joint.frame_on_child())
             reaction = reactions[int(joint.index())]
             wrench[:3] = turn @ reaction.translational()

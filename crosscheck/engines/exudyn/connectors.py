@@ -22,8 +22,8 @@ from exudyn.itemInterface import (
     ObjectConnectorTorsionalSpringDamper,
 )
 
+from crosscheck.engines.applied import CoordinateElement, Motions
 from crosscheck.engines.exudyn.coordinates import JointCoordinates
-from crosscheck.engines.exudyn.forces import CoordinateElement, Motions
 from newton_euler.equations.load_friction import loaded_frictions
 from newton_euler.model.control import PD, StateFeedback
 from newton_euler.model.digital_control import HeldLaw

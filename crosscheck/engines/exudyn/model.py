@@ -39,6 +39,7 @@ from exudyn.itemInterface import (
     ObjectRigidBody,
 )
 
+from crosscheck.engines.applied import Motions, coordinate_elements, coordinate_load
 from crosscheck.engines.exudyn.connectors import (
     Connector,
     CoordinateForce,
@@ -49,7 +50,7 @@ from crosscheck.engines.exudyn.connectors import (
 )
 from crosscheck.engines.exudyn.coordinates import NODAL, JointCoordinates
 from crosscheck.engines.exudyn.couplings import CoordinateEquation, rotor_equations
-from crosscheck.engines.exudyn.forces import Motions, coordinate_elements, coordinate_load, loaded_bodies
+from crosscheck.engines.exudyn.forces import loaded_bodies
 from crosscheck.engines.exudyn.joints import parts
 from newton_euler.equations.couplings import couplings
 from newton_euler.model.control import ControlLaw
