@@ -12,6 +12,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mjcf.constraint_solver import SOLVERS, ConstraintSolver, SolverName
 from newton_euler.model.smooth_functions import Sine
 from newton_euler.scalars import Array
 
@@ -26,7 +27,7 @@ class MujocoSettings:
     Attributes:
         timestep: s.
         integrator: one of `INTEGRATORS`.
-        solver: "Newton", "CG" or "PGS".
+        solver: one of `mjcf.constraint_solver.SOLVERS`.
         iterations: largest number of iterations of the constraint solver.
         tolerance: relative improvement at which the constraint solver stops.
         solref: softness of all equalities; None keeps the softness that each equality has in the file.
@@ -36,7 +37,7 @@ class MujocoSettings:
 
     timestep: float
     integrator: str
-    solver: str
+    solver: SolverName
     iterations: int
     tolerance: float
     solref: tuple[float, float] | None = None
@@ -48,11 +49,11 @@ class MujocoSettings:
         """Read the settings of a compiled model; the softness of equalities stays as in the model (None)."""
         # MuJoCo's constants are in capital letters, the names of MJCF are not
         integrator = mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_")
-        solver = mujoco.mjtSolver(model.opt.solver).name.removeprefix("mjSOL_")
+        solver_of_constant = {f"mjSOL_{name.upper()}": name for name in SOLVERS}
         return cls(
             timestep=float(model.opt.timestep),
             integrator=integrator if integrator == "RK4" else integrator.lower().replace("euler", "Euler"),
-            solver=solver if solver != "NEWTON" else "Newton",
+            solver=solver_of_constant[mujoco.mjtSolver(model.opt.solver).name],
             iterations=int(model.opt.iterations),
             tolerance=float(model.opt.tolerance),
             sleep=bool(model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP),
@@ -62,8 +63,7 @@ class MujocoSettings:
         """Set these settings in a compiled model."""
         model.opt.timestep = self.timestep
         model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{self.integrator.upper()}")
-        model.opt.solver = getattr(mujoco.mjtSolver, f"mjSOL_{self.solver.upper()}")
-        model.opt.iterations, model.opt.tolerance = self.iterations, self.tolerance
+        ConstraintSolver(self.solver, self.iterations, self.tolerance).apply(model)
         model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
         if self.sleep:
             model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)

@@ -13,17 +13,25 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from numbers import Real
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
+from mjcf.constraint_solver import (
+    ITERATIONS,
+    MAX_ITERATIONS,
+    SOLVERS,
+    TOLERANCE,
+    ConstraintSolver,
+    SolverName,
+)
 from mjcf.errors import DivergenceError, collected_warnings
 from mjcf.write import SOLIMP, TIMESTEP
-from newton_euler.arguments import checked
+from newton_euler.arguments import Range, checked
 from newton_euler.equations.applied_forces import surroundings, with_likely_causes
 from newton_euler.equations.load_friction import jam
 from newton_euler.equations.parameters import pieces
-from newton_euler.errors import OptionError, UnknownNameError
+from newton_euler.errors import OptionError, check_choice
 from newton_euler.integrators.options import MAX_FIXED_STEPS
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import IntegrationError, StoppedError, Trajectory
@@ -52,6 +60,9 @@ def simulate(
     timestep: float | None = None,
     integrator: IntegratorName = "RK4",
     solref: Sequence[float] | None = None,
+    solver: SolverName = "Newton",
+    iterations: Annotated[int, Range(1, MAX_ITERATIONS)] = ITERATIONS,
+    tolerance: Annotated[float, Range(0.0)] = TOLERANCE,
 ) -> Trajectory:
     """Simulate a scene in MuJoCo, with soft constraints and native actuators, springs and tendons.
 
@@ -66,9 +77,14 @@ def simulate(
         solref: stiffness of loop closures, couplings and prescribed motions: time constant (s) and damping
             ratio, or stiffness and damping as negative numbers. None means (2 timestep, 1), the stiffest
             constraints that MuJoCo allows.
+        solver: iteration for the forces of the soft constraints: "Newton", "CG" (conjugate gradients) or
+            "PGS" (projected Gauss-Seidel).
+        iterations: largest number of iterations of the solver in one evaluation.
+        tolerance: relative improvement at which the solver ends its iteration.
 
     Raises:
-        NewtonEulerError: for an unknown integrator, an impossible option or a controller that fails.
+        NewtonEulerError: for an unknown integrator or solver, an impossible option, or a controller that
+            fails.
         MjcfError: for a scene that MuJoCo refuses, or a run that diverges.
 
     Examples:
@@ -85,14 +101,16 @@ def simulate(
     steps = [step for _, interval_steps in plan for step in interval_steps]
     largest = max(step.size for step in steps)
     # options
-    if integrator not in INTEGRATORS:
-        raise UnknownNameError("integrator", integrator, INTEGRATORS)
+    check_choice("integrator", integrator, INTEGRATORS)
+    check_choice("solver", solver, SOLVERS)
     checked_solref = None if solref is None else _checked_solref(solref, largest)
 
     from mjcf.soft import SoftMuJoCo, stiffest_solref
 
     system = SoftMuJoCo(scene)
     system.use_integrator(integrator)
+    constraint_solver = ConstraintSolver(solver, int(iterations), float(tolerance))
+    constraint_solver.apply(system.model)
 
     # the run, then the evaluation of its outputs
     start = time.perf_counter()
@@ -103,6 +121,9 @@ def simulate(
         "integrator": integrator,
         "solref": list(checked_solref or stiffest_solref(largest)),
         "solimp": list(SOLIMP),
+        "solver": constraint_solver.name,
+        "iterations": constraint_solver.iterations,
+        "tolerance": constraint_solver.tolerance,
         "steps": sum(step.number for step in steps),
     }
     if steps[-1].size != largest:

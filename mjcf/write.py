@@ -25,6 +25,7 @@ from typing import assert_never
 
 import numpy as np
 
+from mjcf.constraint_solver import ConstraintSolver
 from mjcf.errors import MjcfError, ModelError
 from mjcf.forces import (
     add_site,
@@ -192,6 +193,7 @@ def _add_settings(root: ET.Element, scene: Scene) -> None:
 
     Shapes have neither contacts nor mass. Equalities are as stiff as the time step allows.
     """
+    solver = ConstraintSolver()
     ET.SubElement(root, "compiler", angle="radian", autolimits="true", inertiafromgeom="false")
     ET.SubElement(
         root,
@@ -199,9 +201,9 @@ def _add_settings(root: ET.Element, scene: Scene) -> None:
         timestep=number(TIMESTEP),
         gravity=numbers(scene.gravity),
         integrator="RK4",
-        solver="Newton",
-        iterations="100",
-        tolerance="1e-15",
+        solver=solver.name,
+        iterations=f"{solver.iterations}",
+        tolerance=number(solver.tolerance),
     )
     default = ET.SubElement(root, "default")
     ET.SubElement(default, "geom", contype="0", conaffinity="0", mass="0", group="1")

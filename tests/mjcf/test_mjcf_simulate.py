@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -37,6 +38,12 @@ def mujoco_run(tracker: Scene) -> Runs:
         return done[key]
 
     return run
+
+
+@pytest.fixture(scope="module")
+def short_tracker() -> Scene:
+    """The tracker for 0.1 s."""
+    return replace(make_tracker(), duration=0.1)
 
 
 def position_error(found: Trajectory, wanted: Trajectory) -> float:
@@ -85,6 +92,9 @@ def test_what_a_run_records(tracker: Scene, mujoco_run: Runs) -> None:
         "integrator": "RK4",
         "solref": [2e-3, 1.0],
         "solimp": [0.9999, 0.9999, 0.001, 0.5, 2.0],
+        "solver": "Newton",
+        "iterations": 100,
+        "tolerance": 1e-15,
         "steps": 5000,
     }
     assert run.wall_time > 0.0
@@ -172,6 +182,11 @@ def test_starts_from_the_initial_state() -> None:
         ({"solref": (0.001, 1.0)}, ["solref is (0.001, 1.0)", "(0.002 s) or more"]),
         ({"solref": (-100.0, 1.0)}, ["solref is (-100.0, 1.0)", "two negative numbers"]),
         ({"solref": (0.01,)}, ["solref is (0.01,)", "damping ratio"]),
+        ({"solver": "newton"}, ["solver 'newton'", "Newton, CG, PGS"]),
+        ({"iterations": 0}, ["iterations is 0", "whole number"]),
+        ({"iterations": 10**12}, ["iterations is 1000000000000", "1 to 100000"]),
+        ({"tolerance": -1e-9}, ["tolerance is -1e-09", "0.0 or more"]),
+        ({"tolerance": float("nan")}, ["tolerance is nan"]),
     ],
 )
 def test_impossible_options(tracker: Scene, options: dict[str, object], words: list[str]) -> None:
@@ -187,6 +202,33 @@ def test_constraints_may_be_given_stiffness_and_damping() -> None:
     assert run.settings["solref"] == [-1e5, -1e3]
     softer = mjcf.simulate(scene, solref=(-1e3, -1e2))
     assert np.max(softer.constraint_violation) > 10.0 * np.max(run.constraint_violation)
+
+
+@pytest.mark.parametrize("solver", ["Newton", "CG", "PGS"])
+@pytest.mark.parametrize("integrator", ["RK4", "Euler", "implicit", "implicitfast"])
+def test_every_solver_converges_to_the_same_motion(
+    short_tracker: Scene, solver: Any, integrator: Any
+) -> None:
+    run = mjcf.simulate(short_tracker, integrator=integrator, solver=solver)
+    newton = mjcf.simulate(short_tracker, integrator=integrator)
+    assert (run.settings["solver"], run.settings["integrator"]) == (solver, integrator)
+    # positions change by millimeters; another last digit shows that another solver was used
+    assert position_error(run, newton) < 1e-9
+    assert np.array_equal(run.position, newton.position) == (solver == "Newton")
+
+
+def test_iterations_that_end_early_leave_an_error(short_tracker: Scene) -> None:
+    """The Newton method needs one iteration, as constraints without contacts are linear in accelerations."""
+    converged = mjcf.simulate(short_tracker)
+    for options, low, high in (
+        ({"solver": "Newton", "iterations": 1}, 0.0, 1e-12),
+        ({"solver": "PGS", "iterations": 1}, 1e-7, 1e-4),
+        ({"solver": "CG", "iterations": 1}, 1e-4, 1.0),
+        ({"solver": "CG", "tolerance": 1e-2}, 1e-7, 1.0),
+    ):
+        run = mjcf.simulate(short_tracker, **options)  # type: ignore[arg-type]
+        assert options.items() <= run.settings.items()
+        assert low <= position_error(run, converged) <= high, options
 
 
 @pytest.mark.parametrize(

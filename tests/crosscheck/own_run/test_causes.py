@@ -86,6 +86,29 @@ def test_cause(tmp_path, name):
     assert all(each.error.relative < found.error.relative for each in found.remedies)
 
 
+@pytest.mark.parametrize("solver", ["Newton", "CG", "PGS"])
+def test_a_file_runs_with_its_own_solver(tmp_path, solver):
+    """Plain MuJoCo makes the same run of a file, and another one with any other solver."""
+    path = tmp_path / "model.xml"
+    path.write_text(wrong(FOUR_BAR, iterations=f'2" tolerance="0" solver="{solver}'))
+    _, report = load_scene(str(path), {"excitation": "off"})
+    simulation = report.simulation
+    settings = simulation.settings
+    assert (settings.solver, settings.iterations, settings.tolerance) == (solver, 2, 0.0)
+    assert (f"solver {solver}" in simulation.words()) == (solver != "Newton")
+    found = simulation.run(settings, 100, 100).trajectory
+    for name in ("NEWTON", "CG", "PGS"):
+        model = mujoco.MjModel.from_xml_path(str(path))
+        model.opt.solver = getattr(mujoco.mjtSolver, f"mjSOL_{name}")
+        data = mujoco.MjData(model)
+        mujoco.mj_step(model, data, 100)
+        mujoco.mj_kinematics(model, data)
+        apart = np.max(
+            np.abs(found.position[-1, 1:] - [data.body(body).xipos for body in found.body_names[1:]])
+        )
+        assert apart < 1e-12 if name == solver.upper() else apart > 1e-10, name
+
+
 SLEEPING = """<mujoco><option timestep="0.002" gravity="0 0 0" integrator="RK4">
   <flag sleep="enable"/></option><worldbody><body pos="0 0 1">
   <joint axis="0 1 0" stiffness=".0001" springref="3"/>
