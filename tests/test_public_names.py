@@ -97,6 +97,15 @@ def test_all_joint_kinds_are_public():
     assert {kind.__name__ for kind in JOINT_KINDS.values()} <= set(newton_euler.__all__)
 
 
+@pytest.mark.parametrize(("package", "name"), NAMES)
+def test_names_are_documented_and_in_the_index(package: str, name: str):
+    docs = Path(__file__).parents[1] / "docs" / "reference"
+    pages = {page.name: page.read_text() for page in docs.glob("python/*.md")}
+    found = re.compile(rf"^::: {package}\.(\w+\.)*{name}$", re.MULTILINE)
+    (page,) = (page for page, text in pages.items() if found.search(text))
+    assert re.search(rf"\(python/{page}#{package}\.(\w+\.)*{name}\)", (docs / "python.md").read_text())
+
+
 PENDULUM = load("pendulum")
 SWING = Measurements([0.0, 1.0], {"coordinate.pivot": [0.0, 0.1]}, {"coordinate.pivot": 0.1})
 
