@@ -17,10 +17,15 @@ from crosscheck.engines.exudyn.limits import limits
 from crosscheck.engines.exudyn.simulate import MAX_STEP, simulate
 from crosscheck.engines.steps import halve_until_accurate
 from crosscheck.engines.stress import StressSettings
+from newton_euler.equations.model_control import roles
 from newton_euler.equations.system import System
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import StoppedError, Trajectory
 from newton_euler.scalars import Array
+
+MODEL_LAW_STEP = 5e-3
+"""First step, s, of default runs with laws that use a model of the mechanism, whose forces take some tens of
+milliseconds per step."""
 
 MIN_STEPS = 500
 """Smallest number of steps of a default run, for short runs of fast machines."""
@@ -36,13 +41,13 @@ MAX_STEPS = 50_000
 def _run(scene: Scene) -> Trajectory:
     """Simulate a scene with generalized-alpha.
 
-    The first step is `MAX_STEP`, or shorter for at least `MIN_STEPS` steps. The step is halved while the run
+    The first step is `MAX_STEP` or `MODEL_LAW_STEP`, or shorter for at least `MIN_STEPS` steps. The step is halved while the run
     stops, and while it is far from newton_euler's run and halving changes it.
 
     Raises:
         IntegrationError: if runs with all steps stop; the error is that of the shortest step.
     """
-    step = min(MAX_STEP, scene.duration / MIN_STEPS)
+    step = min(MODEL_LAW_STEP if roles(scene) else MAX_STEP, scene.duration / MIN_STEPS)
     at_step = partial(_at_step, scene)
     for halvings in range(MAX_HALVINGS):
         with suppress(StoppedError):

@@ -25,6 +25,7 @@ from crosscheck.engines.exudyn.coordinates import NODAL
 from crosscheck.engines.exudyn.forces import AppliedForces, applied_forces, motions_of
 from crosscheck.engines.exudyn.limits import limits
 from crosscheck.engines.exudyn.model import build
+from crosscheck.engines.exudyn.model_laws import ModelLaws
 from crosscheck.engines.exudyn.readings import joint_geometry, mass_properties
 from crosscheck.engines.limits import require_expressed
 from newton_euler.equations.coupling_equations import residuals
@@ -118,6 +119,8 @@ class ExudynSystem:
         self._couplings = couplings(scene)
         self._unused: list[int] | None = None
         self.model.wrenches = lambda time: self._applied(time).on_bodies
+        self.model.given = lambda time: self._applied(time).given
+        self._laws = ModelLaws(scene, ExudynSystem)
         self._last: tuple[Any, AppliedForces | None] = None, None
 
     # Exudyn's quantities at nodal coordinates and velocities
@@ -169,7 +172,9 @@ class ExudynSystem:
         key = time, self.model.scene, coordinates.tobytes(), rates.tobytes()
         known, forces = self._last
         if forces is None or known != key:
-            forces = applied_forces(self.model.scene, self.present_state(), time, self.model.native)
+            scene, state = self.model.scene, self.present_state()
+            given = self._laws.forces(scene, state, time)
+            forces = applied_forces(scene, state, time, self.model.native, given)
             self._last = key, forces
         return forces
 
@@ -323,7 +328,7 @@ class ExudynSystem:
         if self._unused is None:
             self._unused, self._rank = rows_left_out(self), constraint_rank(self)
         mass, force = self.mass_and_force(q, v)
-        jacobian, gamma = self.phi_jacobian(q), self._gamma(q, v)
+        jacobian, gamma = self.phi_jacobian(q), self.gamma(q, v)
         try:
             return solve_constrained(
                 mass,
@@ -337,7 +342,7 @@ class ExudynSystem:
         except np.linalg.LinAlgError as error:
             raise SingularityError(self.mechanism.joint_names[0], f"{self.name}: {error}") from error
 
-    def _gamma(self, q: Array, v: Array) -> Array:
+    def gamma(self, q: Array, v: Array) -> Array:
         """Return gamma (k,): minus the rate of J v along the motion at constant v, and what motions add."""
         functions = [each.coupling.function for each in self.model.equations]
         of_motions = [function.acceleration(self.time) if function else 0.0 for function in functions]

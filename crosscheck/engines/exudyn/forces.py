@@ -1,13 +1,13 @@
-"""Applied forces of a scene that Exudyn does not compute, and what all forces do.
+"""Applied forces of a scene: those that Exudyn does not compute, and the energy and power of all of them.
 
-Exudyn's connectors have springs, dampers and PD laws of their own, see
-`crosscheck.engines.exudyn.connectors`. The other forces are user functions in Python, which call this module
-and `crosscheck.engines.applied`.
+Exudyn's connectors and loads have springs, dampers, constant PD laws and wrenches of their own, see
+`crosscheck.engines.exudyn.connectors`. The other forces are user functions in Python, which take them from
+`crosscheck.engines.applied`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -51,15 +51,19 @@ class AppliedForces(NamedTuple):
         control: (a,) forces of the control laws, N or N m.
         power: W, of all forces without potential energy.
         energy: J, of all springs.
+        given: forces of laws that use a model of the mechanism, N or N m, by joint coordinate.
     """
 
     on_bodies: Array
     control: Array
     power: float
     energy: float
+    given: Mapping[Key, float]
 
 
-def applied_forces(scene: Scene, state: State, time: float, native: Sequence[object]) -> AppliedForces:
+def applied_forces(
+    scene: Scene, state: State, time: float, native: Collection[object], given: Mapping[Key, float]
+) -> AppliedForces:
     """Compute the applied forces of a scene at a state and a time, s.
 
     Args:
@@ -67,16 +71,16 @@ def applied_forces(scene: Scene, state: State, time: float, native: Sequence[obj
         state: poses and velocities of the bodies, with full revolutions of the hinge angles.
         time: s.
         native: forces on bodies that Exudyn computes.
+        given: see `AppliedForces`.
     """
-    on_bodies, power, *energies = body_loads(scene, state, time, native)
-    energy = sum(energies)
+    loads = body_loads(scene, state, time, native)
+    power, energy = loads.power, loads.energy + loads.native_energy
     motions, control = motions_of(scene, state), list[float]()
-    elements = coordinate_elements(scene)
-    for place, element in enumerate(elements):
-        load = coordinate_load(element, motions, time, {})
+    for place, element in enumerate(coordinate_elements(scene)):
+        load = coordinate_load(element, motions, time, given)
         energy += load.energy
         for key, force, elastic in zip(element.keys, load.forces, load.elastic, strict=True):
             power += (force - elastic) * motions[key][1]
         if place < len(scene.control):
             control += load.forces
-    return AppliedForces(on_bodies, np.array(control), power, energy)
+    return AppliedForces(loads.wrenches, np.array(control), power, energy, given)

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from crosscheck.engines.exudyn.joints import why_not
 from crosscheck.engines.limits import Limit
 from newton_euler.equations.load_friction import loaded_frictions
-from newton_euler.equations.model_control import roles
 from newton_euler.errors import quoted
 from newton_euler.model.scene import Scene
 
@@ -24,9 +23,6 @@ def limits(scene: Scene) -> Sequence[Limit]:
         for each in scene.armatures
         if each.on_ball
     ]
-    if roles(scene):
-        laws = [law for law in scene.control if getattr(law, "uses_model", False)]
-        found += [Limit(law.element, "Exudyn has no inverse dynamics for its force") for law in laws]
     found += [
         Limit(each.element, "forces of Exudyn's connectors do not depend on reactions")
         for each in loaded_frictions(scene)

@@ -53,7 +53,7 @@ from crosscheck.engines.exudyn.couplings import CoordinateEquation, rotor_equati
 from crosscheck.engines.exudyn.forces import loaded_bodies
 from crosscheck.engines.exudyn.joints import parts
 from newton_euler.equations.couplings import couplings
-from newton_euler.model.control import ControlLaw
+from newton_euler.model.control import ControlLaw, DeclaredLaw
 from newton_euler.model.forces import PointSpring, Wrench
 from newton_euler.model.joint import Joint, Key
 from newton_euler.model.joint_kinds import Rod
@@ -96,6 +96,8 @@ class Model:
         wrenches: computes the forces and torques (b, 6) on the bodies that Exudyn does not, at the present
             state, N and N m, about the centers of mass, world frame, for a time, s; the owner of the model
             sets it.
+        given: computes the forces of laws that use a model of the mechanism, N or N m, by joint coordinate,
+            at the present state and a time, s; the owner of the model sets it.
         connectors: connector of each element whose force Exudyn applies, by the element's place in
             `coordinate_elements`.
         native: forces on bodies that Exudyn computes: springs between points, and wrenches.
@@ -113,6 +115,7 @@ class Model:
     connectors: dict[int, Connector] = field(default_factory=dict)
     native: list[PointSpring | Wrench] = field(default_factory=list)
     wrenches: Callable[[float], Array] | None = None
+    given: Callable[[float], Mapping[Key, float]] | None = None
 
     @property
     def reference(self) -> Array:
@@ -257,7 +260,9 @@ def _add_coordinate_force(model: Model, place: int) -> None:
 
     def load(motions: Motions, time: float) -> dict[Key, float]:
         present = coordinate_elements(model.scene)[place]
-        return dict(zip(present.keys, coordinate_load(present, motions, time, {}).forces, strict=True))
+        uses_model = isinstance(present, DeclaredLaw) and present.uses_model
+        given = model.given(time) if uses_model and model.given is not None else {}
+        return dict(zip(present.keys, coordinate_load(present, motions, time, given).forces, strict=True))
 
     chosen = [NODAL * (body - 1) + k for body in coordinates.bodies for k in range(NODAL)]
     force = CoordinateForce(coordinates, model.reference[chosen], load)

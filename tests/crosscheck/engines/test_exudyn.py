@@ -26,7 +26,7 @@ from newton_euler.equations.relative import Relative
 from newton_euler.errors import OptionError, UnknownNameError
 from newton_euler.model.armatures import Armature, BallArmature
 from newton_euler.model.compound_joint import Compound
-from newton_euler.model.control import PD
+from newton_euler.model.control import PD, ComputedTorque, StateFeedback
 from newton_euler.model.digital_control import Digital, Sampled
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint_kinds import Prismatic, Revolute
@@ -38,11 +38,11 @@ from newton_euler.model.trajectory import IntegrationError, distance
 from newton_euler.reading.excitation import random_states
 from newton_euler.runs.assemble import initial_state
 
-FAST_SCENES = ("bricard", "four_bar", "heavy_top", "stewart", "tracker", "tracker_on_boat")
+FAST_SCENES = (
+    *("bricard", "four_bar", "heavy_top", "stewart"),
+    *("tracker", "tracker_computed_torque", "tracker_on_boat"),
+)
 """Scenes of the library whose equations are compared in the fast tests."""
-
-REFUSED = {"tracker_computed_torque"}
-"""Scenes of the library that Exudyn cannot express."""
 
 FAST_ELEMENTS = ("planar", "rods", "screw", "gear, cut", "motions of a tree", "friction and stops")
 """Elements whose equations are compared in the fast tests."""
@@ -81,7 +81,7 @@ def test_equations(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(SCENES.keys() - REFUSED - set(FAST_SCENES)))
+@pytest.mark.parametrize("name", sorted(SCENES.keys() - set(FAST_SCENES)))
 def test_equations_of_the_other_scenes(name):
     scene = load(name)
     assert failures(scene, ExudynSystem(scene)) == []
@@ -218,6 +218,22 @@ def test_controllers_in_discrete_time_and_jumps(law):
         assert np.max(np.abs(found - needed)) < 5e-3 * np.max(np.abs(needed)), name
 
 
+@pytest.mark.parametrize(
+    "law",
+    [
+        PD("hinge", 8.0, 0.5, Sine(0.3, 5.0), gravity_compensation=True),
+        ComputedTorque("hinge", 60.0, 15.0, Sine(0.3, 5.0), model={"bar.mass": 0.8}),
+        StateFeedback("hinge", {"hinge": (8.0, 0.5)}, target=Sine(0.3, 5.0)),
+    ],
+)
+def test_laws_that_exudyn_does_not_have(law):
+    scene = driven_swing(law)
+    assert failures(scene, ExudynSystem(scene)) == []
+    coarse, fine = errors_at(scene, 1e-2, 5e-3)
+    assert fine < 1e-3
+    assert coarse / fine == pytest.approx(4.0, abs=0.6)
+
+
 def test_work_of_prescribed_motions():
     scene = ELEMENTS["motions of a tree"]
     _, run, exact = apart(scene, step=4e-3)
@@ -278,7 +294,6 @@ def test_unknown_integrator():
             replace(spinning_top(), armatures=(BallArmature("tip", 0.1),)),
             "armature of the ball of joint 'tip'",
         ),
-        (load("tracker_computed_torque"), "control of joint 'slide_12'"),
     ],
 )
 def test_limits_are_what_is_refused(scene, element):
