@@ -41,8 +41,8 @@ MAX_STEPS = 50_000
 def _run(scene: Scene) -> Trajectory:
     """Simulate a scene with generalized-alpha.
 
-    The first step is `MAX_STEP` or `MODEL_LAW_STEP`, or shorter for at least `MIN_STEPS` steps. The step is halved while the run
-    stops, and while it is far from newton_euler's run and halving changes it.
+    The first step is `MAX_STEP` or `MODEL_LAW_STEP`, or shorter for at least `MIN_STEPS` steps. The step is
+    halved while the run stops, and while it is far from newton_euler's run and halving changes it.
 
     Raises:
         IntegrationError: if runs with all steps stop; the error is that of the shortest step.
