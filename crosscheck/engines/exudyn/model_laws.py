@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
@@ -14,20 +14,25 @@ from newton_euler.equations import dense
 from newton_euler.equations.model_control import known_scene, roles
 from newton_euler.equations.parameters import measuring
 from newton_euler.equations.redundancy import rows_left_out, with_zero_rows
+from newton_euler.equations.system import System
 from newton_euler.errors import SingularityError
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
-if TYPE_CHECKING:
-    from crosscheck.engines.exudyn.equations import ExudynSystem
+
+class ModelSystem(System, Protocol):
+    """Equations of the controller's model."""
+
+    def gamma(self, q: Array, v: Array) -> Array:
+        """Compute the right side (k,) of J dv/dt = gamma."""
 
 
 class ModelLaws:
     """Inverse dynamics of the controller's model, for computed torque and for gravity compensation."""
 
-    def __init__(self, scene: Scene, build: Callable[[Scene], ExudynSystem]) -> None:
+    def __init__(self, scene: Scene, build: Callable[[Scene], ModelSystem]) -> None:
         """Build the controller's models; `build` makes the equations of a scene."""
         self._torque, self._holding, values = roles(scene)
         self._moving = self._resting = None
@@ -60,7 +65,7 @@ class ModelLaws:
 
 
 def _servo_forces(
-    system: ExudynSystem, state: State, time: float, keys: Sequence[Key], accelerations: Array, moves: bool
+    system: ModelSystem, state: State, time: float, keys: Sequence[Key], accelerations: Array, moves: bool
 ) -> dict[Key, float]:
     """Compute the forces on joint coordinates, N or N m, that cause given accelerations of them.
 
@@ -97,7 +102,7 @@ def _servo_forces(
     return dict(zip(keys, multipliers[len(system.phi_units) :].tolist(), strict=True))
 
 
-def _coordinate_rows(system: ExudynSystem, state: State, keys: Sequence[Key]) -> tuple[Array, Array]:
+def _coordinate_rows(system: ModelSystem, state: State, keys: Sequence[Key]) -> tuple[Array, Array]:
     """Return the derivatives (n, nv) of the rates of n joint coordinates by the velocities v.
 
     Returns:

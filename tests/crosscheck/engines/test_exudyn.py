@@ -222,7 +222,10 @@ def test_controllers_in_discrete_time_and_jumps(law):
     "law",
     [
         PD("hinge", 8.0, 0.5, Sine(0.3, 5.0), gravity_compensation=True),
-        ComputedTorque("hinge", 60.0, 15.0, Sine(0.3, 5.0), model={"bar.mass": 0.8}),
+        pytest.param(
+            ComputedTorque("hinge", 60.0, 15.0, Sine(0.3, 5.0), model={"bar.mass": 0.8}),
+            marks=pytest.mark.slow,
+        ),
         StateFeedback("hinge", {"hinge": (8.0, 0.5)}, target=Sine(0.3, 5.0)),
     ],
 )
