@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,9 @@ import click
 
 from crosscheck.cli.shared import (
     AGREE,
+    DEFAULT_ENGINES,
     cli,
+    engines_option,
     folder_option,
     next_step,
     progress_shown,
@@ -58,7 +61,7 @@ from crosscheck.cli.shared import (
     "--check",
     type=click.IntRange(0, 100),
     default=None,
-    help="Number of runs to cross-check in all engines: half with extreme results, half at random.  "
+    help="Number of runs to cross-check in the engines: half with extreme results, half at random.  "
     "[default: 1 of 1,000, at least 2, at most 6]",
 )
 @click.option(
@@ -69,6 +72,7 @@ from crosscheck.cli.shared import (
 @click.option(
     "--cluster", metavar="ADDRESS", help="Address of a Dask scheduler, such as tcp://10.0.0.1:8786."
 )
+@partial(engines_option, text=f"Engines of the cross-checks.  [default: {DEFAULT_ENGINES}]")
 @folder_option("output/sweep/SCENE")
 @verbose_option
 def sweep_command(
@@ -78,6 +82,7 @@ def sweep_command(
     keep: tuple[str, ...],
     check: int | None,
     allow_reduced: bool,
+    engines: list[str] | None,
     output: Path | None,
     **options: Any,
 ) -> int:
@@ -86,6 +91,7 @@ def sweep_command(
     SCENE is the name of a library scene or a model file (see run). To resume an interrupted sweep, repeat the
     command.
     """
+    from crosscheck.engines.registry import ENGINES
     from crosscheck.loading.load import load_scene, with_excitation
     from crosscheck.sweeps.distributions import parse_vary
     from crosscheck.sweeps.store import STORE_NAME, interruptible
@@ -102,7 +108,7 @@ def sweep_command(
         swept = sweep(loaded, vary, keep=keep, output=folder, progress=progress, **options)
         swept = replace(swept, options=scene_settings, mapping=import_report)
         if check != 0:
-            swept = swept.check(check, progress=progress)
+            swept = swept.check(check, engines or list(ENGINES), progress=progress)
         progress("analysis")
         made, judged = swept.report, swept.findings.outcome
     show(made)  # before the files are written, which may fail, for example because the disk is full

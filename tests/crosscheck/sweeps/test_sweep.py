@@ -11,11 +11,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import xarray
+from command_line import run
 from small_sweep import ARGUMENTS, assert_equal
 
 import crosscheck.sweeps.execute
 import crosscheck.sweeps.results
 from crosscheck import sweep
+from crosscheck.engines.registry import ENGINES
 from crosscheck.library import load
 from crosscheck.studies.stress.noise import flat_four_bar
 from crosscheck.support.errors import CrosscheckError
@@ -237,3 +239,12 @@ def test_numbers_of_numpy_are_numbers(tmp_path):
 def test_impossible_numbers_of_checks_are_refused(reference, runs):
     with pytest.raises(NewtonEulerError, match="runs is"):
         reference.check(runs)
+
+
+def test_runs_are_cross_checked_in_the_engines_that_are_named(with_engines, capsys, tmp_path):
+    with_engines(replace(ENGINES["newton_euler"], name="toy"))
+    arguments = ("--vary", "dumbbell.mass=normal(1, 0.1)", "--runs", 4, "--keep", "peak:reaction_force")
+    checks = ("--check", 1, "--engines", "newton_euler,toy", "--output", tmp_path / "sweep")
+    status, out, _ = run(capsys, "sweep", "pendulum", *arguments, *checks)
+    assert status == 0
+    assert "newton_euler, toy in all checks" in " ".join(out.split())
