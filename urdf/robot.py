@@ -41,7 +41,7 @@ from urdf.loops import NO_LOOPS, REVOLUTE, UNIVERSAL, Loops, loop_files_beside
 from urdf.reading.planes import axes_of_plane, axis_vector
 from urdf.reading.source import NUMBER_ATTRIBUTES, SourceError, finite_or_infinite, parsed, read_loops
 from urdf.reading.transmissions import REDUCTION_TAGS, read_transmissions
-from urdf.reading.vocabulary import BASES, BaseName, unknown
+from urdf.reading.vocabulary import BASES, BaseName, tag_of, unknown
 
 if TYPE_CHECKING:
     from urdf.reading.given import UrdfInMemory
@@ -206,7 +206,9 @@ def _has_additions(root: ET.Element) -> bool:
     additional = (
         dynamics.attrib.keys() - {"damping", "friction"} for dynamics in root.findall("joint/dynamics")
     )
-    return any(additional) or next(unknown(root), None) is not None
+    # rotors in transmissions are part of the vocabulary, unlike other additions that move something
+    has_rotors = any(tag_of(element) == "drake:rotor_inertia" for element in root.iter())
+    return any(additional) or has_rotors or next(unknown(root), None) is not None
 
 
 def _extensions(path: str, text: str, root: ET.Element, loops: Loops, notes: list[str]) -> Extensions:

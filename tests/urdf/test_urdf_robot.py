@@ -401,3 +401,22 @@ def test_a_prefix_without_namespace_is_read_as_by_pinocchio(tmp_path: Path) -> N
     # MuJoCo's importer
     of_mujoco = [describe_by_mujoco(each).robot.bodies for each in (plain, prefixed)]
     assert [body.mass for body in of_mujoco[1]] == [body.mass for body in of_mujoco[0]]
+
+
+@pytest.mark.parametrize("holder", ["actuator", "joint"])
+def test_rotors_of_drake_are_described(holder: str, tmp_path: Path) -> None:
+    rotor = '<drake:rotor_inertia value="2e-5"/><drake:gear_ratio value="50"/>'
+    in_actuator = (
+        f'<transmission name="t"><joint name="j"/><actuator name="m">{rotor}</actuator></transmission>'
+    )
+    text = (
+        '<robot name="r" xmlns:drake="http://drake.mit.edu"><link name="world"/>'
+        '<link name="a"><inertial><mass value="1"/>'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        '<joint name="j" type="continuous"><parent link="world"/><child link="a"/>'
+        f"{rotor if holder == 'joint' else ''}</joint>{in_actuator if holder == 'actuator' else ''}</robot>"
+    )
+    path = tmp_path / "rotor.urdf"
+    path.write_text(text)
+    (motion,) = describe(path).robot.bodies[1].joints
+    assert motion.armature == pytest.approx(0.05)
