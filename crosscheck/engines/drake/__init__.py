@@ -1,5 +1,6 @@
 """Drake as an engine: newton_euler's integrators with Drake's equations, evaluated by Python.
 
+With the setting "solver", one of Drake's own solvers runs instead, see `crosscheck.engines.drake.solvers`.
 Engines that do not run unless they are named are imported when they are named, so that this package imports
 Drake at once.
 """
@@ -12,10 +13,13 @@ from functools import partial
 from typing import Any
 
 from crosscheck.engines.adaptive import python_options
+from crosscheck.engines.benchmarks import Benchmarks
 from crosscheck.engines.drake.equations import DrakeSystem
 from crosscheck.engines.drake.plant import NAME
 from crosscheck.engines.drake.simulate import simulate
+from crosscheck.engines.drake.solvers import simulate_with
 from crosscheck.engines.engine import NO_SETTINGS, Engine, FixedSteps, Settings, without_forces
+from crosscheck.engines.stress import StressSettings
 from newton_euler.equations.system import System
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import StoppedError, Trajectory
@@ -27,7 +31,9 @@ singular loops and of stiff machines may have too few accurate digits for `REFIN
 
 
 def _simulate(scene: Scene, settings: Settings = NO_SETTINGS, /) -> Trajectory:
-    """Simulate a scene with Drake."""
+    """Simulate a scene with Drake; the setting "solver" selects a solver of Drake."""
+    if "solver" in settings:
+        return simulate_with(scene, **settings)
     return _first_run(scene, [dict(settings)] if settings else python_options(scene, refined=False))
 
 
@@ -56,6 +62,20 @@ def _with_moved_anchor(scene: Scene, joint: str, shift: Array) -> System:
     return DrakeSystem(scene, shifts={joint: shift})
 
 
+def _stress_settings() -> StressSettings:
+    """Import the settings of stress tests."""
+    from crosscheck.engines.drake.stress import STRESS
+
+    return STRESS
+
+
+def _benchmarks() -> Benchmarks:
+    """Import the benchmarks."""
+    from crosscheck.engines.drake.benchmark import BENCHMARKS
+
+    return BENCHMARKS
+
+
 # The same methods as newton_euler's, with equations evaluated in Python
 ENGINE = Engine(
     NAME,
@@ -73,4 +93,6 @@ ENGINE = Engine(
     fixed_steps=FixedSteps("RK4", lambda step: {"integrator": "RK4", "step": step}, steps=10),
     at_tolerance=lambda rtol: {"rtol": rtol, "atol": 0.01 * rtol},
     with_moved_anchor=_with_moved_anchor,
+    stress_settings=_stress_settings,
+    benchmarks=_benchmarks,
 )

@@ -1,0 +1,115 @@
+"""Benchmarks of Drake: DOP853 with Drake's equations, and Drake's own solvers, from coarse to fine.
+
+The time of a run is that of the integration. It does not include forward kinematics at the outputs, which
+take some 10 us each: tree coordinates are converted to poses afterwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from itertools import cycle
+from timeit import Timer
+
+import numpy as np
+
+from crosscheck.engines.benchmarks import (
+    ATOL_PER_RTOL,
+    Benchmarks,
+    Ladder,
+    Model,
+    Models,
+    Options,
+    RightHandSide,
+    Run,
+    output_interval,
+    step_ladder,
+    tolerance_ladder,
+)
+from crosscheck.engines.drake.equations import DrakeSystem
+from crosscheck.engines.drake.simulate import simulate
+from crosscheck.engines.drake.solvers import SolverName, limits_of_solver, simulate_with
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
+from newton_euler.reading.excitation import random_states
+
+FINEST_DECADE = 13.0
+"""Negative decimal logarithm of the finest tolerance of DOP853; at finer ones its steps fail on the round-off
+of equations with loops."""
+
+ACCURACIES = range(3, 14)
+"""Negative decimal logarithms of the accuracies of `runge_kutta5`."""
+
+STEPS_PER_OUTPUT = (1, 2, 5, 10, 20, 50, 100, 200)
+"""Numbers of SAP's steps from one output to the next."""
+
+
+def _models(scene: Scene) -> Models:
+    """Return functions that load a scene for Drake's equations, and for each solver that can run it."""
+    own: dict[SolverName, Ladder] = {
+        "SAP": step_ladder("SAP", "step", output_interval(scene), STEPS_PER_OUTPUT, solver="SAP"),
+        "runge_kutta5": Ladder("runge_kutta5", _accuracy, ACCURACIES, {"solver": "runge_kutta5"}),
+    }
+    runs: dict[str, Callable[[], Model]] = {
+        solver: partial(_own_model, scene, ladder)
+        for solver, ladder in own.items()
+        if not limits_of_solver(scene, solver)
+    }
+    return {"equations": partial(_equations, scene), **runs}
+
+
+def _accuracy(number: int) -> tuple[str, Options]:
+    """Return name and options of an accuracy, by its negative decimal logarithm."""
+    return f"accuracy 1e-{number}", {"accuracy": 10.0**-number}
+
+
+def _run(trajectory: Trajectory) -> Run:
+    """Return the timed run of a trajectory."""
+    poses = trajectory.position, trajectory.quaternion
+    return Run(trajectory.wall_time, trajectory.settings["evaluations"], lambda: poses)
+
+
+def _equations(scene: Scene) -> Model:
+    """Load a scene for DOP853 with Drake's equations."""
+    ladders = [
+        tolerance_ladder("DOP853", 2.0, FINEST_DECADE, atol_per_rtol=ratio, per_decade=1)
+        for ratio in ATOL_PER_RTOL
+    ]
+    return Model(ladders, lambda options: _run(simulate(scene, **options)))
+
+
+def _own_model(scene: Scene, ladder: Ladder) -> Model:
+    """Load a scene for a solver of Drake."""
+    return Model([ladder], lambda options: _run(simulate_with(scene, **options)))
+
+
+def _right_hand_side(scene: Scene) -> RightHandSide:
+    """Make the accelerations of Drake's equations, called from Python.
+
+    The equations keep the result of the last state, so that calls alternate between two states.
+    """
+    system = DrakeSystem(scene)
+    states = cycle([system.coordinates(state) for state in random_states(scene, 2)])
+    return RightHandSide(Timer(lambda: system.acceleration(*next(states))).timeit)
+
+
+def _forward_dynamics(scene: Scene) -> RightHandSide:
+    """Make Drake's articulated-body algorithm of the spanning tree, without loops, called from Python."""
+    system = DrakeSystem(scene)
+    placed, states = system.placed, [system.coordinates(state) for state in random_states(scene, 2)]
+    rest = np.zeros(system.nv), np.zeros((len(placed.built.bodies), 6))
+    placed.load(*rest)
+    following = cycle([(q[: system.tree.nq], v) for q, v in states])
+    port = placed.plant.get_generalized_acceleration_output_port()
+
+    def evaluate() -> None:
+        placed.place(*next(following))
+        port.Eval(placed.context)
+
+    return RightHandSide(Timer(evaluate).timeit)
+
+
+BENCHMARKS = Benchmarks(
+    models=_models,
+    right_hand_sides={"equations": _right_hand_side, "tree without loops": _forward_dynamics},
+)
