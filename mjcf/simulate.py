@@ -42,6 +42,7 @@ from newton_euler.runs.simulate import trajectory_from
 from newton_euler.scalars import Array
 
 if TYPE_CHECKING:
+    from mjcf.mjx import MjxSteps
     from mjcf.soft import SoftMuJoCo
 
 MIN_COMMON_DIVISOR = 1e-6
@@ -53,6 +54,11 @@ IntegratorName = Literal["RK4", "Euler", "implicit", "implicitfast"]
 
 INTEGRATORS: tuple[IntegratorName, ...] = get_args(IntegratorName)
 
+BackendName = Literal["C", "MJX"]
+"""Names of implementations of MuJoCo's steps: the library in C, and MJX in JAX."""
+
+BACKENDS: tuple[BackendName, ...] = get_args(BackendName)
+
 
 @checked
 def simulate(
@@ -63,6 +69,7 @@ def simulate(
     solver: SolverName = "Newton",
     iterations: Annotated[int, Range(1, MAX_ITERATIONS)] = ITERATIONS,
     tolerance: Annotated[float, Range(0.0)] = TOLERANCE,
+    backend: BackendName = "C",
 ) -> Trajectory:
     """Simulate a scene in MuJoCo, with soft constraints and native actuators, springs and tendons.
 
@@ -81,11 +88,14 @@ def simulate(
             "PGS" (projected Gauss-Seidel).
         iterations: largest number of iterations of the solver in one evaluation.
         tolerance: relative improvement at which the solver ends its iteration.
+        backend: implementation that takes the steps: "C", or "MJX" in JAX, see `mjcf.mjx`. Outputs are
+            evaluated in C.
 
     Raises:
         NewtonEulerError: for an unknown integrator or solver, an impossible option, or a controller that
             fails.
-        MjcfError: for a scene that MuJoCo refuses, or a run that diverges.
+        MjcfError: for a scene that MuJoCo or MJX refuses, or a run that diverges.
+        MissingPackageError: for "MJX" if it is not installed.
 
     Examples:
         >>> mjcf.simulate(load("pendulum"), timestep=0.001)
@@ -103,6 +113,7 @@ def simulate(
     # options
     check_choice("integrator", integrator, INTEGRATORS)
     check_choice("solver", solver, SOLVERS)
+    check_choice("backend", backend, BACKENDS)
     checked_solref = None if solref is None else _checked_solref(solref, largest)
 
     from mjcf.soft import SoftMuJoCo, stiffest_solref
@@ -112,9 +123,16 @@ def simulate(
     constraint_solver = ConstraintSolver(solver, int(iterations), float(tolerance))
     constraint_solver.apply(system.model)
 
+    mjx_steps = None
+    if backend == "MJX":
+        from mjcf.mjx import MjxSteps, check_options
+
+        check_options(integrator, solver)
+        mjx_steps = MjxSteps(system)
+
     # the run, then the evaluation of its outputs
     start = time.perf_counter()
-    outputs, stopped = _run(system, plan, checked_solref)
+    outputs, stopped = _run(system, plan, checked_solref, mjx_steps)
     wall_time = time.perf_counter() - start
     settings: dict[str, Any] = {
         "timestep": largest,
@@ -124,6 +142,7 @@ def simulate(
         "solver": constraint_solver.name,
         "iterations": constraint_solver.iterations,
         "tolerance": constraint_solver.tolerance,
+        "backend": backend,
         "steps": sum(step.number for step in steps),
     }
     if steps[-1].size != largest:
@@ -258,7 +277,10 @@ class Output(NamedTuple):
 
 
 def _run(
-    system: SoftMuJoCo, plan: list[tuple[Interval, list[Steps]]], solref: tuple[float, float] | None
+    system: SoftMuJoCo,
+    plan: list[tuple[Interval, list[Steps]]],
+    solref: tuple[float, float] | None,
+    mjx_steps: MjxSteps | None,
 ) -> tuple[list[Output], StoppedError | None]:
     """Run all intervals.
 
@@ -266,6 +288,7 @@ def _run(
         system: compiled scene.
         plan: intervals with their steps, see `simulate`.
         solref: see `simulate`.
+        mjx_steps: takes the steps by MJX; None if they are taken in C.
 
     Returns:
         The outputs reached, and the error that stopped the run, or None.
@@ -310,7 +333,9 @@ def _run(
             with system.following():
                 for (number, step_size), wanted in zip(steps, interval.is_output[1:], strict=True):
                     system.use_step(step_size, solref)
-                    if work is None:
+                    if mjx_steps is not None:
+                        mjx_steps.advance(number)
+                    elif work is None:
                         mujoco.mj_step(model, data, number)
                     else:
                         work += system.step_with_work(number, warnings)

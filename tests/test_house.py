@@ -76,7 +76,7 @@ GROUND = {
 }
 """Modules below all rooms."""
 
-HEAVY = {"coal", "control", "dask", "llvmlite", "matplotlib", "mujoco", "pinocchio", "rerun", "scipy"}
+HEAVY = {"coal", "control", "dask", "jax", "llvmlite", "matplotlib", "mujoco", "pinocchio", "rerun", "scipy"}
 """Packages that are loaded when they are needed."""
 
 LIMITED = {"numpy", "resource"}

@@ -95,6 +95,7 @@ def test_what_a_run_records(tracker: Scene, mujoco_run: Runs) -> None:
         "solver": "Newton",
         "iterations": 100,
         "tolerance": 1e-15,
+        "backend": "C",
         "steps": 5000,
     }
     assert run.wall_time > 0.0
