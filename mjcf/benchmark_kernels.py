@@ -2,9 +2,10 @@
 
 crosscheck's benchmarks measure MuJoCo's speed with these kernels, on scenes (mechanisms with forces, control
 laws and initial state). They store poses at output times only. Features that no scene uses are switched off.
-The warm start of the solver is switched off as well, because one Newton step solves equality constraints,
-which are linear in the accelerations. Constraints are as stiff as the step allows, with a time constant of
-two steps. A `SoftMuJoCo` is a scene compiled for MuJoCo, with soft constraints.
+The warm start of the solver is switched off as well: one Newton step solves equality constraints, which are
+linear in the accelerations, and conjugate gradients (CG) with a warm start end before they are accurate.
+Constraints are as stiff as the step allows, with a time constant of two steps. A `SoftMuJoCo` is a scene
+compiled for MuJoCo, with soft constraints.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import mujoco
 import mujoco.rollout
 import numpy as np
 
+from mjcf.constraint_solver import ConstraintSolver, SolverName
 from mjcf.errors import DivergenceError, MjcfError, collected_warnings
 from mjcf.forces import wind_loads
 from mjcf.reading.start import PASSIVE_FEATURES
@@ -115,6 +117,7 @@ class Stepper:
         intervals: list[tuple[int, float]],
         number: int,
         damping_ratio: float,
+        solver: SolverName = "Newton",
     ) -> None:
         """Prepare a run.
 
@@ -124,7 +127,9 @@ class Stepper:
             intervals: groups of equal output intervals in order of time: number of intervals, length in s.
             number: number of steps per output interval.
             damping_ratio: damping ratio of the constraints, the second number of `solref`.
+            solver: name of MuJoCo's constraint solver.
         """
+        self._solver = ConstraintSolver(solver)
         self._system, self._intervals, self._number, self._ratio = system, intervals, number, damping_ratio
         self._integrator = integrator
         outputs = 1 + sum(count for count, _ in intervals)
@@ -138,6 +143,7 @@ class Stepper:
         mujoco.mj_resetData(system.model, system.data)
         system.set_state(*system.coordinates(initial_state(system.scene)))
         system.use_integrator(self._integrator)
+        self._solver.apply(system.model)
 
     def run(self) -> None:
         """Run the scene and fill `position` and `quaternion`."""

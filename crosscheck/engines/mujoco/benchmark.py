@@ -1,4 +1,4 @@
-"""Benchmarks of MuJoCo: its integrators with steps from coarse to fine, and batches by `mujoco.rollout`.
+"""Benchmarks of MuJoCo: integrators and constraint solvers at several steps, and batches by `mujoco.rollout`.
 
 The time of a run is that of all steps, of kinematics at every output, and of copies of positions and
 quaternions there. The steps from one output to the next run inside one call. `mujoco.rollout` returns the
@@ -28,6 +28,7 @@ from crosscheck.engines.benchmarks import (
     step_ladder,
 )
 from mjcf.benchmark_kernels import Rollout, Stepper, compiled, forward, physics_states, steps
+from mjcf.constraint_solver import SOLVERS
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
@@ -65,6 +66,32 @@ def ladders(interval: float, numbers: Sequence[int] = STEPS_PER_OUTPUT) -> list[
     ]
 
 
+STEPS_OF_SOLVERS = (1, 5, 20, 100)
+"""Numbers of steps from one output to the next with other constraint solvers than Newton's method. Their
+errors are those of Newton's method at the same step unless they end before they converge."""
+
+
+def solver_ladders(interval: float) -> list[Ladder]:
+    """Make the ladders of RK4 with the constraint solvers CG and PGS; `ladders` have Newton's method.
+
+    Args:
+        interval: time between outputs, s.
+    """
+    return [
+        step_ladder(
+            f"RK4, {solver}, solref (2 steps, 1)",
+            "number",
+            interval,
+            STEPS_OF_SOLVERS,
+            integrator="RK4",
+            damping_ratio=1.0,
+            solver=solver,
+        )
+        for solver in SOLVERS
+        if solver != "Newton"
+    ]
+
+
 def _models(scene: Scene) -> Models:
     """Return the function that loads a scene into MuJoCo."""
     return {"MJCF": partial(_load, scene)}
@@ -85,7 +112,10 @@ def _load(scene: Scene) -> Model:
         stages = 4 if options["integrator"] == "RK4" else 1
         return Run(seconds, stages * options["number"] * (len(scene.times) - 1), stepper.poses)
 
-    return Model(ladders(output_interval(scene)), run)
+    interval = output_interval(scene)
+    # other solvers make the same run of a scene without constraints
+    of_solvers = solver_ladders(interval) if system.model.neq else []
+    return Model(ladders(interval) + of_solvers, run)
 
 
 def intervals(times: Array) -> list[tuple[int, float]]:
