@@ -32,6 +32,7 @@ from pictures import (
     words,
     wrong_engine,
 )
+from theory_plots import THEORY_PLOTS, theory_content
 
 from crosscheck.cli import main
 from crosscheck.engines.registry import ENGINES
@@ -117,6 +118,11 @@ def test_plots_of_commands(name, plot):
 def test_the_moving_picture():
     picture = moving_picture.FILE
     assert made_from(picture) == digest(moving_picture.content()), f"{picture} {STALE}"
+
+
+@pytest.mark.parametrize("name", THEORY_PLOTS)
+def test_plots_of_theory(name):
+    assert made_from(f"{name}.png") == digest(theory_content(name)), f"{name}.png {STALE}"
 
 
 def test_all_pictures_are_shown_and_small():

@@ -81,3 +81,11 @@ def test_formulas_are_closed(page):
     """A dollar sign outside of code is part of a pair."""
     if page != "README.md":
         assert FENCE.sub("", (ROOT / page).read_text()).count("$") % 2 == 0
+
+
+@pytest.mark.parametrize(
+    "term", ["limitations", "Monte Carlo", "Jacobian", "license", "Baumgarte", "closed loop", "drift"]
+)
+def test_terms_of_the_field_occur_in_pages(term):
+    """The search of the site finds words of pages only."""
+    assert [page for page in PAGES if term.lower() in (ROOT / page).read_text().lower()]

@@ -31,6 +31,7 @@ from recordings import read_recording
 from rerun.chunk import RrdReader
 from rich.console import Console
 from rich.text import Text
+from theory_plots import THEORY_PLOTS, theory_content
 from wrong_engines import taking
 
 import newton_euler
@@ -377,6 +378,13 @@ def of_motion(folder: Path) -> None:
     moving_picture.save(IMAGES, digest(moving_picture.content()))
 
 
+def of_theory(folder: Path) -> None:
+    """Make the plots of the pages on theory."""
+    for name, draw in THEORY_PLOTS.items():
+        draw().savefig(folder / f"{name}.png", dpi=110)
+        save(Image.open(folder / f"{name}.png"), name, theory_content(name))
+
+
 MAKERS = {
     "runs": of_runs,
     "notebook": of_notebook,
@@ -385,6 +393,7 @@ MAKERS = {
     "paper": of_paper,
     "plots": of_plots,
     "motion": of_motion,
+    "theory": of_theory,
 }
 """Makers of pictures by name: all, or those that are named on the command line."""
 
