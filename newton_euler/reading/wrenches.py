@@ -29,6 +29,10 @@ from newton_euler.reading.switched_loads import switched_load
 from newton_euler.scalars import Array
 
 
+ORIGIN = np.zeros(3)
+"""Arm of a force at the center of mass."""
+
+
 class CoordinateMotion(NamedTuple):
     """A joint coordinate x and its motion at one state of the mechanism.
 
@@ -62,11 +66,19 @@ class Wrenches:
         self.mechanism, self.frames, self.time, self._state = mechanism, state.frames(), time, state
         self.total, self.magnitude = np.zeros((2, len(self.frames), 6))
 
-    def _add(self, body: int, force: Array, torque: Array) -> None:
-        """Add a force (3,) at the center of mass of a body and a torque (3,), N and N m, world frame."""
-        wrench = np.concatenate([force, torque])
-        self.total[body] += wrench
-        self.magnitude[body] += np.abs(wrench)
+    def _add(self, body: int, force: Array, torque: Array, arm: Array = ORIGIN) -> None:
+        """Add a force and a torque to a body, world frame.
+
+        Args:
+            body: index of the body.
+            force: (3,) N.
+            torque: (3,) torque about the point at which the force acts, N m.
+            arm: (3,) vector from the center of mass to this point, m.
+        """
+        self.total[body] += np.concatenate([force, torque + np.cross(arm, force)])
+        # a force through a hinge has no moment about it, but the round-off of both of its terms
+        terms = np.abs(arm[[1, 2, 0]] * force[[2, 0, 1]]) + np.abs(arm[[2, 0, 1]] * force[[1, 2, 0]])
+        self.magnitude[body] += np.concatenate([np.abs(force), np.abs(torque) + terms])
 
     def _add_along(self, at: CoordinateMotion, force: float) -> None:
         """Add a generalized force, N or N m, along a joint coordinate to the joint's two bodies."""
@@ -124,7 +136,7 @@ class Wrenches:
                 rotation = self._rotation_since_start(body) if force.frame == "body" else np.eye(3)
                 applied, torque = rotation @ force.force, rotation @ force.torque
                 arm = self._lever_arm(body, force.point)
-                self._add(body, applied, torque + np.cross(arm, applied))
+                self._add(body, applied, torque, arm)
             case WindLoad():
                 self._add_wind(force)
             case _:
@@ -178,7 +190,7 @@ class Wrenches:
         tension = spring.stiffness * (length - spring.rest_length) + spring.damping * stretch_rate
         on_first = tension * along
         for body, arm, force in zip(bodies, arms, (on_first, -on_first), strict=True):
-            self._add(body, force, np.cross(arm, force))
+            self._add(body, force, np.zeros(3), arm)
 
     def _add_ball_spring(self, spring: BallSpring) -> None:
         """Add the torque of a rotational spring and damper between the two bodies of a ball joint."""
@@ -215,8 +227,7 @@ class Wrenches:
         # Columns of axes: unit vectors along the two sides of the plate and its normal, world frame
         axes, (normal_force, *moments) = self._rotation_since_start(body) @ load.axes, self.wind(load)
         force = normal_force * axes[:, 2]
-        torque = axes[:, :2] @ moments + np.cross(self._lever_arm(body, load.point), force)
-        self._add(body, force, torque)
+        self._add(body, force, axes[:, :2] @ moments, self._lever_arm(body, load.point))
 
     def add_armatures(self, scene: Scene, linear: Array, angular: Array) -> None:
         """Add the reactions of a scene's armatures to accelerations of the bodies.

@@ -415,3 +415,18 @@ def test_models_in_memory_that_cannot_be_read_are_named():
         read(mujoco.MjSpec.from_string(TWO_BARS), root=".")
     with pytest.raises(MjcfError, match=r"needed: a path of a file, a mujoco.MjSpec or a mujoco.MjModel"):
         read(5)
+
+
+def test_a_force_through_the_axis_of_a_hinge_is_verified(tmp_path):
+    """The moment about the hinge is round-off of two terms that cancel, and no difference of the file."""
+    path = tmp_path / "thruster.xml"
+    path.write_text(
+        """<mujoco><worldbody><body name="a">
+        <joint name="j" axis="0 1 0"/><geom size=".1" mass="1"/><site name="s" pos=".1 0 0"/>
+        <body name="b" pos=".5 0 0"><joint name="k" axis="0 1 0"/><geom size=".1" mass="1"/></body>
+        </body></worldbody>
+        <actuator><motor name="u" site="s" gear="1 0 0 0 0 0"/></actuator>
+        <keyframe><key name="on" ctrl="1"/></keyframe></mujoco>"""
+    )
+    (wrench,) = read(str(path), key="on").scene.forces
+    np.testing.assert_allclose(wrench.force, [1.0, 0.0, 0.0], atol=1e-15)
