@@ -12,7 +12,7 @@ run: $(VENV)/installed
 test: lint
 	$(BIN)/python -m pytest -n auto
 
-test-slow: $(VENV)/docs-installed
+test-slow: $(VENV)/docs-installed $(VENV)/engines-installed
 	$(BIN)/python -m pytest -m slow
 
 # of another part, for one: make mutants PART="crosscheck/compare tests/crosscheck/compare --count 30"
@@ -43,6 +43,14 @@ $(VENV)/installed: pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev,sun,sweep]"
 	# bytecode, as pip makes it of what is not editable: 0.2 s of every command where Python may not write them
 	$(BIN)/python -m compileall -q newton_euler mjcf urdf crosscheck
+	touch $@
+
+# the optional engines; processors and systems without their wheels skip their tests
+$(VENV)/engines-installed: $(VENV)/installed
+	for engine in drake exudyn; do \
+		$(BIN)/python -m pip install --quiet --disable-pip-version-check --only-binary $$engine -c constraints.txt \
+			-e ".[$$engine]" || echo "$$engine: no wheel for this system, its tests are skipped"; \
+	done
 	touch $@
 
 $(VENV)/docs-installed: $(VENV)/installed

@@ -28,7 +28,6 @@ from newton_euler.model.wind import WindLoad
 from newton_euler.reading.switched_loads import switched_load
 from newton_euler.scalars import Array
 
-
 ORIGIN = np.zeros(3)
 """Arm of a force at the center of mass."""
 

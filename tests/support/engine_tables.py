@@ -1,0 +1,93 @@
+"""Tables of `docs/results/engines.md`: which engine can express what, and the library in all engines.
+
+    python tests/support/engine_tables.py FOLDER
+
+writes both tables into the page. FOLDER has the results of `crosscheck run --all --engines all`. The first
+table needs no runs: it comes from `Engine.limits`, for the elements of `elements.py` and the library.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from elements import COUPLED, ELEMENTS
+
+from crosscheck.engines.engine import Engine
+from crosscheck.engines.registry import choose
+from crosscheck.library import SCENES, load
+from crosscheck.report.render import markdown_table
+from crosscheck.report.table import Column, Rows, Table, number_columns, text_columns
+from crosscheck.support.units import SECONDS_AND_MS, quantity_text
+from newton_euler.model.scene import Scene
+
+PAGE = Path(__file__).parents[2] / "docs" / "results" / "engines.md"
+
+
+def scenes() -> dict[str, Scene]:
+    """Scenes of the library, and small ones with each kind of joint, coupling, motion and force."""
+    return {name: load(name) for name in SCENES} | ELEMENTS | COUPLED
+
+
+def expressed(engines: Iterable[Engine]) -> list[str]:
+    """Lines of the table of scenes that an engine cannot express, with the reasons."""
+    engines = list(engines)
+    rows: Rows = []
+    every = scenes()
+    for name, scene in every.items():
+        limits = [engine.limits(scene) for engine in engines]
+        if any(limits):
+            rows.append(
+                [name, *("; ".join(dict.fromkeys(each.reason for each in one)) or "yes" for one in limits)]
+            )
+    count = f"{len(every) - len(rows)} of {len(every)}"
+    table = Table("", text_columns("scene", *(engine.label or engine.name for engine in engines)), rows)
+    lines = [f"Every engine expresses {count} scenes. These are the others:", "", *markdown_table(table)]
+    return lines if rows else [f"Every engine expresses all {len(every)} scenes."]
+
+
+def library(folder: Path, engines: Iterable[Engine]) -> list[str]:
+    """Lines of the table of the library: verdict, and error and run time of each engine."""
+    engines = list(engines)
+    rows: Rows = []
+    for name in SCENES:
+        found = json.loads((folder / name / "summary.json").read_text())
+        judged = sum(check["judged"] for check in found["checks"])
+        rows.append([name, found["outcome"], str(judged), *(_measured(found, engine) for engine in engines)])
+    columns: list[Column] = [*text_columns("scene", "verdict"), *number_columns("checks")]
+    columns += number_columns(*(engine.label or engine.name for engine in engines))
+    return list(markdown_table(Table("", columns, rows)))
+
+
+def _measured(found: Mapping[str, Any], engine: Engine) -> str:
+    """Error and run time of an engine, or why it has none."""
+    if engine.name in found["left_out"]:
+        return "cannot express it"
+    run = found["engines"].get(engine.name)
+    if run is None or run.get("wall_time") is None:
+        return "stopped"
+    error = "" if run.get("error") is None else f"{run['error']:.0e}, ".replace("e-0", "e-")
+    return error + quantity_text(run["wall_time"], SECONDS_AND_MS)
+
+
+def replaced(page: str, name: str, lines: Iterable[str]) -> str:
+    """Page with other lines between the comments `<!-- NAME -->` and `<!-- end of NAME -->`."""
+    start, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
+    assert page.count(start) == page.count(end) == 1, f"{PAGE} has no place for the table {name!r}"
+    text = "\n".join([start, "", *lines, "", end])
+    return re.sub(f"{re.escape(start)}.*?{re.escape(end)}", lambda _: text, page, flags=re.DOTALL)
+
+
+def main(folder: Path) -> None:
+    """Write both tables into the page."""
+    engines = choose(["all"])
+    page = replaced(PAGE.read_text(), "expressed", expressed(engines))
+    PAGE.write_text(replaced(page, "library", library(folder, engines)))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
