@@ -126,7 +126,8 @@ class Engine:
         trajectory_error: expected error of poses, relative to the mechanism's reach (positions) or in rad.
         drift: expected constraint violation, relative to the mechanism's reach (lengths) or in rad.
         energy_error: expected energy balance error, relative to the largest energy.
-        package: distribution of the engine, as pip names it, whose version is recorded.
+        package: distribution of the engine, as pip names it, whose version is recorded; that of the entry
+            point unless it is given.
         label: name in texts of importers and references, such as "MuJoCo".
         min_version: oldest version of the package that can be used.
         color, line: color #rrggbb, and dash pattern of matplotlib with width, points;

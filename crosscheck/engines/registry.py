@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, version
 from typing import Final, Never
 
@@ -134,15 +135,17 @@ def _load(name: str) -> Engine:
         raise EngineError(f"engine {name!r}: no name of an engine; needed: {needed}")
     ((where, point),) = values.items()
     try:
-        return _checked(point.load(), name, where)
-    except EngineError:
-        raise
+        loaded = point.load()
     except ModuleNotFoundError as error:
         reason = f"module {error.name} is not installed"
-        raise NotInstalledError(f"engine {name!r}, {where}: {reason}") from error
+        raise EngineError(f"engine {name!r} cannot be loaded from {where}: {reason}") from error
     except (Exception, SystemExit) as error:  # code of another package
         reason = reason_of(error) if isinstance(error, Exception) else f"it exits with {error.code}"
         raise EngineError(f"engine {name!r} cannot be loaded from {where}: {reason}") from error
+    engine = _checked(loaded, name, where)
+    if point.dist and engine.package == DISTRIBUTION:
+        return replace(engine, package=point.dist.name)
+    return engine
 
 
 def _checked(engine: object, name: str, where: str) -> Engine:

@@ -121,6 +121,21 @@ def parallelogram() -> Scene:
     return Scene("linkage", Mechanism(bodies, hinges), 0.3, 0.1, GRAVITY)
 
 
+def double() -> Scene:
+    """Return two bars that hang from each other on parallel hinges, with inertias about skew axes."""
+    skew = rotation(from_rotation_vector(np.array([0.2, 0.5, -0.3])))
+    inertia = skew @ np.diag([0.02, 0.05, 0.06]) @ skew.T
+    y = np.array([0.0, 1.0, 0.0])
+    centers = {"upper": np.array([0.3, 0.0, 0.0]), "lower": np.array([0.6, 0.05, -0.2])}
+    turned = from_rotation_vector(np.array([0.4, 0.1, -0.6]))
+    bars = [Body(name, 1.5, center, 0.5 * (inertia + inertia.T), turned) for name, center in centers.items()]
+    hinges = [
+        Revolute("shoulder", "ground", "upper", np.zeros(3), axis=y),
+        Revolute("elbow", "upper", "lower", np.array([0.6, 0.0, 0.0]), axis=-y),
+    ]
+    return Scene("double", Mechanism([Body.ground(), *bars], hinges), 0.3, 0.1, GRAVITY)
+
+
 def driven() -> Scene:
     """Return the swing with a PD law on its hinge, whose force a reaction does not include."""
     scene = swing()
@@ -143,10 +158,13 @@ def _apart(one: Array | None, two: Array | None) -> float:
 
 
 def _motion_apart(engine: Engine, scene: Scene) -> str:
-    """Return how far positions are from the reference; "" within `TOLERANCE`."""
+    """Return how far poses are from the reference; "" within `TOLERANCE`."""
     run, other = _both(engine, scene)
     apart = _apart(run.position, other.position)
-    return f"positions differ by {apart:.2g} of the reach" if not apart <= TOLERANCE else ""
+    if not apart <= TOLERANCE:
+        return f"positions differ by {apart:.2g} of the reach"
+    turned = float(np.max(angle_between(run.quaternion, other.quaternion)))
+    return f"orientations differ by {turned:.2g} rad" if not turned <= TOLERANCE else ""
 
 
 def _values_apart(engine: Engine, scene: Scene, *names: str) -> str:
@@ -243,6 +261,13 @@ def energy(engine: Engine) -> str:
     return _values_apart(engine, swing(), "kinetic_energy", "potential_energy")
 
 
+def chain(engine: Engine) -> str:
+    """Bodies that hang from each other, and the reactions of their joints, are those of the reference."""
+    return _motion_apart(engine, double()) or _values_apart(
+        engine, double(), "reaction_force", "reaction_torque"
+    )
+
+
 def loops(engine: Engine) -> str:
     """A joint that closes a loop holds."""
     return _motion_apart(engine, parallelogram())
@@ -306,7 +331,7 @@ POINTS: dict[str, Callable[[Engine], str]] = {
     each.__name__: each
     for each in (
         *(start, quaternion_order, motion, outputs, reaction_sign, reaction_frame, reaction_point),
-        *(drive_force, energy, loops, couplings, refinement, equations, limits, settings),
+        *(drive_force, energy, chain, loops, couplings, refinement, equations, limits, settings),
     )
 }
 """Points of the contract by name: functions that return what is wrong with an engine, or ""."""

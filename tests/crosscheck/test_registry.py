@@ -24,9 +24,11 @@ from crosscheck.engines.registry import (
     choose,
 )
 from crosscheck.support.errors import CrosscheckError
+from newton_euler.errors import DISTRIBUTION
 
 TOY = replace(SOLVER, name="toy", package="numpy", min_version="1.2")
 TWIN = replace(TOY)
+PLAIN = replace(SOLVER, name="toy")
 OLD = replace(TOY, name="old", min_version="9999.10")
 ABSENT = replace(TOY, name="absent", package="absent-package")
 NO_ENGINE = "no engine"
@@ -151,7 +153,7 @@ def test_names_that_no_engine_can_have(registered, name):
 @pytest.mark.parametrize(
     ("code", "reason", "error"),
     [
-        ("import no_such_package", "module no_such_package is not installed", NotInstalledError),
+        ("import no_such_package", "module no_such_package is not installed", EngineError),
         ("raise RuntimeError('no license')", "no license", EngineError),
         ("raise SystemExit(3)", "it exits with 3", EngineError),
     ],
@@ -163,6 +165,8 @@ def test_modules_that_cannot_be_imported(monkeypatch, tmp_path, code, reason, er
     monkeypatch.setattr(registry, "entry_points", lambda group: [point])
     with pytest.raises(error, match=reason):
         choose(["bad"])
+    with pytest.raises(error, match=reason):  # installed, but unusable: not left out silently
+        choose(["all"])[-1].systems(None)
     monkeypatch.delitem(sys.modules, "bad_engine", raising=False)
 
 
@@ -177,6 +181,13 @@ def test_unusable_engines_leave_the_others_untouched(registered, capsys, tmp_pat
 
 def test_the_help_names_the_default_engines():
     assert DEFAULT_ENGINES.split(",") == list(ENGINES)
+
+
+def test_the_package_of_an_engine_is_that_of_its_entry_point(registered):
+    (point,) = registered(toy="PLAIN")
+    vars(point)["dist"] = SimpleNamespace(name="numpy")
+    (engine,) = choose(["toy"])
+    assert (PLAIN.package, engine.package) == (DISTRIBUTION, "numpy")
 
 
 def test_two_packages_with_one_name(registered, monkeypatch):
