@@ -144,7 +144,9 @@ def with_engines(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 
     def register(*engines: Engine) -> None:
         points = [
-            SimpleNamespace(name=engine.name, value=f"tests:{engine.name}", load=lambda engine=engine: engine)
+            SimpleNamespace(
+                name=engine.name, value=f"tests:{engine.name}", dist=None, load=lambda engine=engine: engine
+            )
             for engine in engines
         ]
         monkeypatch.setattr(registry, "entry_points", lambda group: points)

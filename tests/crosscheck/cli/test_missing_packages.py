@@ -73,7 +73,7 @@ def test_an_update_of_the_library_leaves_out_no_scene(tmp_path):
 def test_the_list_names_what_a_scene_needs(tmp_path):
     done = base(tmp_path, "list")
     assert (done.returncode, done.stderr) == (0, "")
-    (line,) = [line for line in done.stdout.splitlines() if DISTRIBUTION in line]
+    (line,) = [line for line in done.stdout.splitlines() if f"{DISTRIBUTION}[sun]" in line]
     assert line.startswith("tracker_sun_day: ")
 
 
