@@ -8,9 +8,12 @@ engines are chosen.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from typing import Any
 
+from crosscheck.engines.engine import Settings, without_forces
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import StoppedError, Trajectory
@@ -55,6 +58,10 @@ STIFF_RTOL, STIFF_ATOL = 1e-8, 1e-10
 STIFF_REFINEMENT = 0.1
 """Factor on the tolerances of Radau in refined runs."""
 
+LOOSER_TOLERANCE_FACTOR = 5.0
+"""Factor on the tolerances of a refined run in Python that is repeated because it stopped. Accelerations of
+nearly singular loops and of stiff machines may have too few accurate digits for `REFINED_RTOL`."""
+
 
 def newton_euler_options(scene: Scene, refined: bool = False) -> dict[str, Any]:
     """Choose the options of `newton_euler.simulate` for a scene: integrator, tolerances and number of steps.
@@ -85,6 +92,42 @@ def python_options(scene: Scene, refined: bool) -> list[dict[str, Any]]:
     if steps < MIN_RADAU_STEPS:
         return [explicit]
     return [{"most_steps": min(PYTHON_MAX_STEPS, steps)} | _radau(refined), explicit]
+
+
+def python_run(simulate: Callable[..., Trajectory], scene: Scene, settings: Settings) -> Trajectory:
+    """Simulate a scene by equations that Python evaluates, with given settings or those of `python_options`.
+
+    Args:
+        simulate: function of a scene and the settings as keywords.
+        scene: the scene.
+        settings: settings of the run; if there are none, they are chosen for the scene.
+    """
+    return _first_run(simulate, scene, [dict(settings)] if settings else python_options(scene, refined=False))
+
+
+def refined_python_run(
+    simulate: Callable[..., Trajectory], scene: Scene, in_full: bool = False
+) -> Trajectory:
+    """Simulate a scene as `python_run` does, at refined tolerances, or at looser ones if that run stops.
+
+    Args:
+        simulate, scene: see `python_run`.
+        in_full: True to compute all outputs of the scene; False to omit reactions and actuator forces.
+    """
+    methods = python_options(scene, refined=True)
+    looser = {name: LOOSER_TOLERANCE_FACTOR * methods[-1][name] for name in ("rtol", "atol")}
+    outputs = scene if in_full else without_forces(scene)
+    return _first_run(simulate, outputs, [*methods, methods[-1] | looser])
+
+
+def _first_run(
+    simulate: Callable[..., Trajectory], scene: Scene, methods: Sequence[dict[str, Any]]
+) -> Trajectory:
+    """Simulate a scene with the first options with which the run does not stop."""
+    for method in methods[:-1]:
+        with suppress(StoppedError):
+            return simulate(scene, **method)
+    return simulate(scene, **methods[-1])
 
 
 def _needs_radau(scene: Scene, max_steps: int) -> bool:

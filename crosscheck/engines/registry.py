@@ -101,6 +101,8 @@ def find(name: str) -> Engine | None:
     """Return the engine of a name; None if there is no such engine, or if it cannot be used."""
     if name in ENGINES:
         return ENGINES[name]
+    if name in RESERVED or not NAME.fullmatch(name):  # without a look at the installed packages
+        return None
     try:
         return _load(name)
     except CrosscheckError:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import Protocol, TypedDict, TypeVar
 
 import numpy as np
 
@@ -21,6 +21,14 @@ from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array, Scalar
+
+
+class Energies(TypedDict):
+    """Energies and work of an `Observation`, by name, J."""
+
+    kinetic_energy: float
+    potential_energy: float
+    work: float | None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -12,9 +12,8 @@ import mjcf
 import urdf
 from crosscheck.compare.check import MAX_RELATIVE_ERROR
 from crosscheck.compare.runs import compare_runs
-from crosscheck.engines.adaptive import REFINED_RTOL
+from crosscheck.engines.adaptive import LOOSER_TOLERANCE_FACTOR, REFINED_RTOL
 from crosscheck.engines.energy import energy_balance
-from crosscheck.engines.pinocchio import LOOSER_TOLERANCE_FACTOR
 from crosscheck.engines.registry import ENGINES
 from crosscheck.library import load
 from newton_euler.model.scene import Scene

@@ -16,7 +16,7 @@ forces without potential energy, this work, J, is the last element of q.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, TypedDict
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from newton_euler.equations.drives import drive_wrenches, joint_points
 from newton_euler.equations.load_friction import EngineFriction, HeldFriction
 from newton_euler.equations.model_control import EngineControl, roles, servo_forces
 from newton_euler.equations.redundancy import constraint_rank, rows_left_out, with_zero_rows
-from newton_euler.equations.system import Evaluation, MassProperties, Observation
+from newton_euler.equations.system import Energies, Evaluation, MassProperties, Observation
 from newton_euler.errors import SingularityError
 from newton_euler.model.constraints import Frame
 from newton_euler.model.euler_parameters import from_rotation, rotation
@@ -41,14 +41,6 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import weld_loops
 from newton_euler.model.state import State
 from newton_euler.scalars import Array, Scalar
-
-
-class Energies(TypedDict):
-    """Energies and work of a state, J."""
-
-    kinetic_energy: float
-    potential_energy: float
-    work: float | None
 
 
 class AppliedForces(NamedTuple):

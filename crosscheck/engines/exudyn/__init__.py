@@ -116,7 +116,6 @@ ENGINE = Engine(
     energy_error=1e-8,
     package="exudyn",
     label="Exudyn",
-    min_version="1.13",
     refined_in_full=partial(_refined, in_full=True),
     fixed_steps=FixedSteps("generalized_alpha", lambda step: {"step": step}, steps=40),
     with_moved_anchor=_with_moved_anchor,

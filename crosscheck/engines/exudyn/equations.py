@@ -16,7 +16,7 @@ along a motion with unit Euler parameters, and not of residuals along a line.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, TypedDict
+from typing import Any
 
 import exudyn as exu
 import numpy as np
@@ -33,7 +33,7 @@ from newton_euler.equations.couplings import counted_angles, couplings
 from newton_euler.equations.dense import solve_constrained
 from newton_euler.equations.redundancy import constraint_rank, rows_left_out, with_zero_rows
 from newton_euler.equations.revolutions import revolutions
-from newton_euler.equations.system import Evaluation, MassProperties, Observation
+from newton_euler.equations.system import Energies, Evaluation, MassProperties, Observation
 from newton_euler.errors import SingularityError
 from newton_euler.model.constraints import Frame
 from newton_euler.model.euler_parameters import (
@@ -58,14 +58,6 @@ FIRST_DERIVATIVE = tuple(
 MOTION_STEP = 0.002
 """Largest motion between two points of `FIRST_DERIVATIVE`, mechanism sizes or rad. Round-off is about 1e-13,
 and the truncation error is smaller for rods longer than 2 % of the mechanism's size."""
-
-
-class Energies(TypedDict):
-    """Energies and work of a state, J."""
-
-    kinetic_energy: float
-    potential_energy: float
-    work: float | None
 
 
 class ExudynSystem:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import suppress
 from functools import partial
-from typing import Any
 
-from crosscheck.engines.adaptive import python_options
+from crosscheck.engines.adaptive import python_run, refined_python_run
 from crosscheck.engines.benchmarks import Benchmarks
 from crosscheck.engines.engine import (
     NO_SETTINGS,
@@ -16,13 +13,12 @@ from crosscheck.engines.engine import (
     Importer,
     ImporterLimit,
     Settings,
-    without_forces,
 )
 from crosscheck.engines.stress import StressSettings
 from crosscheck.support.colors import GREEN
 from newton_euler.equations.system import System
 from newton_euler.model.scene import Scene
-from newton_euler.model.trajectory import StoppedError, Trajectory
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.robot import RobotFile
 
 LIMITS = {
@@ -36,31 +32,19 @@ LIMITS = {
 }
 """Documented limits of Pinocchio's importers, by format."""
 
-LOOSER_TOLERANCE_FACTOR = 5.0
-"""Factor on the tolerances of a refined run in Python that is repeated because it stopped. Accelerations of
-nearly singular loops and of stiff machines may have too few accurate digits for `REFINED_RTOL`."""
-
 
 def _simulate(scene: Scene, settings: Settings = NO_SETTINGS, /) -> Trajectory:
     """Simulate a scene in Pinocchio."""
-    return _first_run(scene, [dict(settings)] if settings else python_options(scene, refined=False))
-
-
-def _first_run(scene: Scene, methods: Sequence[dict[str, Any]]) -> Trajectory:
-    """Simulate a scene in Pinocchio with the first options with which the run does not stop."""
     import urdf
 
-    for method in methods[:-1]:
-        with suppress(StoppedError):
-            return urdf.simulate(scene, **method)
-    return urdf.simulate(scene, **methods[-1])
+    return python_run(urdf.simulate, scene, settings)
 
 
 def _refined(scene: Scene, in_full: bool = False) -> Trajectory:
-    """Simulate a scene in Pinocchio at refined tolerances, or at looser ones if that run stops."""
-    methods = python_options(scene, refined=True)
-    looser = {name: LOOSER_TOLERANCE_FACTOR * methods[-1][name] for name in ("rtol", "atol")}
-    return _first_run(scene if in_full else without_forces(scene), [*methods, methods[-1] | looser])
+    """Simulate a scene in Pinocchio at refined tolerances."""
+    import urdf
+
+    return refined_python_run(urdf.simulate, scene, in_full)
 
 
 def _systems(scene: Scene) -> tuple[System, ...]:

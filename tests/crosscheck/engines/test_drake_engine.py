@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 from armed_scenes import COMPOUNDS, armed, sprung
 from elements import COUPLED, ELEMENTS
+from engine_equations import failures
 from mechanisms import GRAVITY, bar, pendulum
 
 pytest.importorskip("pydrake")
 
-from crosscheck.compare.levels import compare_pair
-from crosscheck.compare.samples import Samples, States
 from crosscheck.engines.drake import ENGINE
 from crosscheck.engines.drake.equations import DrakeSystem
 from crosscheck.engines.drake.simulate import simulate
@@ -24,7 +23,6 @@ from crosscheck.engines.registry import choose
 from crosscheck.library import SCENES, load
 from crosscheck.studies.conformance_tests import EngineConformance
 from newton_euler import simulate as reference
-from newton_euler.equations.relative import Relative
 from newton_euler.errors import OptionError, SingularityError, UnknownNameError
 from newton_euler.model.digital_control import Sampled
 from newton_euler.model.forces import PointSpring
@@ -33,7 +31,6 @@ from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.trajectory import IntegrationError, distance
-from newton_euler.reading.excitation import random_states
 from newton_euler.runs.assemble import initial_state
 
 FAST_SCENES = ("bricard", "chain", "four_bar", "heavy_top", "tracker_on_boat", "tracker_computed_torque")
@@ -55,16 +52,6 @@ ROTORS = ball_scenes.SCENES | {f"armed {name}": sprung(armed(scene)) for name, s
 
 class TestContract(EngineConformance):
     engine = ENGINE
-
-
-def failures(scene, system, others=2):
-    """Return the checks at which a system of equations fails against newton_euler's, at several states."""
-    start = States(scene, (initial_state(scene),))
-    random = random_states(scene, others)
-    states = States(scene, tuple(random if start.is_singular else [*start.all, *random]))
-    pair = ("newton_euler", "drake")
-    checks = compare_pair(pair, [Samples(Relative(scene), states)], [Samples(system, states)])
-    return [(check.level, check.quantity) for check in checks if not check.agrees]
 
 
 @pytest.mark.parametrize("name", FAST_SCENES)

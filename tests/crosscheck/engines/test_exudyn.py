@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from elements import COUPLED, ELEMENTS
+from engine_equations import checks_of, failures
 from mechanisms import GRAVITY, bar, pendulum, spinning_top
 
 pytest.importorskip("exudyn")
 
-from crosscheck.compare.levels import compare_pair
-from crosscheck.compare.samples import Samples, States
 from crosscheck.engines.exudyn import ENGINE
 from crosscheck.engines.exudyn.equations import ExudynSystem
 from crosscheck.engines.exudyn.simulate import simulate
@@ -23,7 +22,6 @@ from crosscheck.studies.conformance_tests import EngineConformance
 from crosscheck.studies.random_scenes import random_scene
 from newton_euler import simulate as reference
 from newton_euler.equations.redundancy import dependent_rows
-from newton_euler.equations.relative import Relative
 from newton_euler.errors import OptionError, UnknownNameError
 from newton_euler.model.armatures import Armature, BallArmature
 from newton_euler.model.compound_joint import Compound
@@ -36,8 +34,6 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Sine
 from newton_euler.model.splines import Steps
 from newton_euler.model.trajectory import IntegrationError, distance
-from newton_euler.reading.excitation import random_states
-from newton_euler.runs.assemble import initial_state
 
 FAST_SCENES = (
     *("bricard", "four_bar", "heavy_top", "stewart"),
@@ -51,16 +47,6 @@ FAST_ELEMENTS = ("planar", "rods", "screw", "gear, cut", "motions of a tree", "f
 
 class TestContract(EngineConformance):
     engine = ENGINE
-
-
-def failures(scene, system, others=2):
-    """Return the checks at which a system of equations fails against newton_euler's, at several states."""
-    start = States(scene, (initial_state(scene),))
-    random = random_states(scene, others)
-    states = States(scene, tuple(random if start.is_singular else [*start.all, *random]))
-    pair = ("newton_euler", "exudyn")
-    checks = compare_pair(pair, [Samples(Relative(scene), states)], [Samples(system, states)])
-    return [(check.level, check.quantity) for check in checks if not check.agrees]
 
 
 def apart(scene, **settings):
@@ -354,13 +340,6 @@ def test_settings_of_stress_tests():
 def test_accelerations_of_short_rods(number):
     """Rods of 0.13 to 0.33 of the mechanism's size, whose directions change fast, against newton_euler's."""
     scene = random_scene(4711, number)
-    states = States(scene, (initial_state(scene),))
-    checks = list(
-        compare_pair(
-            ("exudyn", "reference"),
-            [Samples(ExudynSystem(scene), states)],
-            [Samples(Relative(scene), states)],
-        )
-    )
+    checks = checks_of(scene, ExudynSystem(scene), others=0)
     worst = max(check.value for check in checks if "acceleration, rel" in check.quantity)
     assert worst < 1e-10  # it was 5e-6 and 2.6e-5 with ten times the step
