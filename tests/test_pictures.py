@@ -15,6 +15,7 @@ from pictures import (
     MADE_FROM,
     NOTEBOOK,
     PAGES,
+    PAPER,
     PLOTS,
     ROOT,
     SCENES,
@@ -23,6 +24,7 @@ from pictures import (
     WIDTHS,
     WRONG,
     digest,
+    figure_content,
     made_from,
     notebook_content,
     page_words,
@@ -118,6 +120,12 @@ def test_plots_of_commands(name, plot):
 def test_the_moving_picture():
     picture = moving_picture.FILE
     assert made_from(picture) == digest(moving_picture.content()), f"{picture} {STALE}"
+
+
+def test_figures_of_the_paper():
+    run = shown("tracker")
+    for number, name in PAPER.items():
+        assert made_from(f"{name}.png") == digest(figure_content(number, run)), f"{name}.png {STALE}"
 
 
 @pytest.mark.parametrize("name", THEORY_PLOTS)

@@ -4,7 +4,8 @@ The engines are MuJoCo, Pinocchio and this project's solver newton_euler. The pa
 library scene `tracker`, see `crosscheck.library.tracker`: two vertical sliders tilt a solar panel. In the
 comparison of engines, newton_euler uses the method of the paper: Cartesian coordinates, Euler parameters
 (quaternions), and Baumgarte stabilization with alpha = 10 1/s. Body k of the paper has index k - 1 in arrays.
-`crosscheck figures` calls `draw`.
+Black marks are the values that the paper prints as numbers: the start (Tables 2 and 3) and the target
+(sections 4 and 5). `crosscheck figures` calls `draw`.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 from crosscheck.engines.palette import palette
 from crosscheck.engines.registry import ENGINES, SOLVER
 from crosscheck.library import load
-from crosscheck.library.tracker import TARGET_HEIGHT
+from crosscheck.library.tracker import CENTER_OF_MASS, EULER_PARAMETERS, TARGET_HEIGHT
 from crosscheck.report.plots import draw_curve, own_style, png
 from crosscheck.support.files import check_writable, write_files
 from newton_euler import simulate
@@ -63,18 +64,19 @@ def draw(folder: Path, progress: Callable[[str], None]) -> list[Path]:
     return list(paths.values())
 
 
-def _figure_with_panels(title: str, labels: Sequence[str]) -> tuple[Figure, list[Axes]]:
-    """Return a figure with one panel for each label of a vertical axis, one below the other."""
+def _figure_with_panels(title: str, labels: Sequence[str], columns: int = 1) -> tuple[Figure, list[Axes]]:
+    """Return a figure with one panel for each label of a vertical axis, row by row."""
     from matplotlib.figure import Figure
 
-    rows = len(labels)
-    figure = Figure(figsize=(7.0, 1.2 + 1.9 * rows), layout="constrained")
-    axes = [figure.add_subplot(rows, 1, k + 1) for k in range(rows)]
+    rows = -(-len(labels) // columns)
+    figure = Figure(figsize=(7.0, 1.0 + 1.5 * rows), layout="constrained")  # inches
+    axes = [figure.add_subplot(rows, columns, k + 1) for k in range(len(labels))]
     figure.suptitle(title)
     for ax, label in zip(axes, labels, strict=True):
         ax.set_ylabel(label)
         ax.grid(alpha=0.3)
-    axes[-1].set_xlabel("time, s")
+    for ax in axes[-columns:]:
+        ax.set_xlabel("time, s")
     return figure, axes
 
 
@@ -93,14 +95,41 @@ def _plot(axes: list[Axes], runs: dict[str, Trajectory], columns: Callable[[Traj
     axes[0].legend(loc="best", fontsize="small")
 
 
+def _mark(axes: list[Axes], start: Array, target: Sequence[float | None]) -> None:
+    """Mark the values that the paper prints: dots at the start, dashed lines at the target.
+
+    Args:
+        axes: the panels.
+        start: value at the start, by panel.
+        target: value at the end, by panel; None if the paper does not state one.
+    """
+    for ax, first, last in zip(axes, start, target, strict=True):
+        ax.plot(0.0, first, "ko", markersize=5, zorder=3, label="paper, Tables 2 and 3")
+        if last is not None:
+            ax.axhline(last, color="k", linestyle=(0, (6, 4)), linewidth=0.8, label="paper, target")
+    # One legend for all panels, as the first panel may have no target
+    labeled = {
+        label: line for ax in axes for line, label in zip(*ax.get_legend_handles_labels(), strict=True)
+    }
+    axes[0].legend(labeled.values(), labeled.keys(), loc="best", fontsize="small")
+
+
+def _rotation_angles(quaternion: Array) -> Array:
+    """Return angles (n, 3), deg, of orientations (n, 4): rotations about the fixed axes x, then y, then z."""
+    r = rotations(quaternion)  # R_z R_y R_x
+    x = np.arctan2(r[:, 2, 1], r[:, 2, 2])
+    y = np.arctan2(-r[:, 2, 0], np.hypot(r[:, 2, 1], r[:, 2, 2]))
+    z = np.arctan2(r[:, 1, 0], r[:, 0, 0])
+    return np.degrees(np.stack([x, y, z], axis=1))
+
+
 def sliders(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
     """Plot figure 5: heights z2 and z3 of both sliders over time, m, and their target."""
     figure, axes = _figure_with_panels(
         "Figure 5: response of the actuators' displacement", ["z2, m", "z3, m"]
     )
     _plot(axes, runs, lambda run: run.position[:, 1:3, 2])  # the sliders are bodies 2 and 3
-    for ax in axes:
-        ax.axhline(TARGET_HEIGHT, color="0.5", linewidth=0.8)
+    _mark(axes, CENTER_OF_MASS[1:3, 2], [TARGET_HEIGHT, TARGET_HEIGHT])
     return figure
 
 
@@ -110,8 +139,8 @@ def violation(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
     With coarse steps, newton_euler uses joint coordinates, its default for this scene, and there is a curve
     for each method of stabilization.
     """
-    labels = ["engines\nlargest |Phi|, m or rad", f"{SOLVER.name}, RK4 at 10 ms\nlargest |Phi|, m or rad"]
-    figure, axes = _figure_with_panels("Figure 6: kinematic constraints", labels)
+    labels = ["engines", f"{SOLVER.name}\nRK4 at 10 ms"]
+    figure, axes = _figure_with_panels("Figure 6: kinematic constraints, largest |Phi|, m or rad", labels)
 
     def largest(run: Trajectory) -> Array:
         """Return the largest violation (n, 1) of all joints, at least 1e-18: a logarithmic axis has no 0."""
@@ -133,30 +162,25 @@ def orientation(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
     labels = ["about x, deg", "about y, deg", "about z, deg"]
     figure, axes = _figure_with_panels("Figure 7: orientation of the solar panel", labels)
 
-    def angles(run: Trajectory) -> Array:
-        """Return the angles (n, 3) of the panel, degrees: its rotation matrix is R_z R_y R_x."""
-        r = rotations(run.quaternion[:, -1])  # the panel is the last body, 7
-        x = np.arctan2(r[:, 2, 1], r[:, 2, 2])
-        y = np.arctan2(-r[:, 2, 0], np.hypot(r[:, 2, 1], r[:, 2, 2]))
-        z = np.arctan2(r[:, 1, 0], r[:, 0, 0])
-        return np.degrees(np.stack([x, y, z], axis=1))
-
-    _plot(axes, runs, angles)
+    _plot(axes, runs, lambda run: _rotation_angles(run.quaternion[:, -1]))  # the panel is the last body, 7
+    # The paper states that the panel ends parallel to the ground, and does not state the angle about z
+    _mark(axes, _rotation_angles(EULER_PARAMETERS[-1:])[0], [0.0, 0.0, None])
     return figure
 
 
 def euler_parameters(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
     """Plot figure 8: Euler parameters of the panel, the components (w, x, y, z) of its quaternion."""
-    figure, axes = _figure_with_panels(
-        "Figure 8: Euler parameters of the solar panel", ["e0", "e1", "e2", "e3"]
-    )
+    title = "Figure 8: Euler parameters of the solar panel, dimensionless"
+    figure, axes = _figure_with_panels(title, ["e0", "e1", "e2", "e3"], columns=2)
     _plot(axes, runs, lambda run: run.quaternion[:, -1])
+    _mark(axes, EULER_PARAMETERS[-1], [None, 0.0, 0.0, None])
     return figure
 
 
 def norm(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
     """Plot figure 9: error p7^T p7 - 1 of the norm of the Euler parameters p7 of the panel, body 7."""
-    figure, axes = _figure_with_panels("Figure 9: norm of the panel's Euler parameters", ["p7^T p7 - 1"])
+    title = "Figure 9: norm of the panel's Euler parameters, dimensionless"
+    figure, axes = _figure_with_panels(title, ["p7^T p7 - 1"])
     _plot(axes, runs, lambda run: np.sum(run.quaternion[:, -1:] ** 2, axis=2) - 1.0)
     return figure
 

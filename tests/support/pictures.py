@@ -9,6 +9,7 @@ with a Vulkan driver, in software or not.
 from __future__ import annotations
 
 import hashlib
+import inspect
 import io
 import json
 import os
@@ -45,6 +46,7 @@ from crosscheck.recording.stream import recorded
 from crosscheck.report import page
 from crosscheck.report.page import PAGE, key_times
 from crosscheck.studies.faults import injection
+from crosscheck.studies.paper_figures import FIGURES
 
 ROOT = Path(__file__).parents[2]
 IMAGES = ROOT / "docs" / "images"
@@ -173,6 +175,20 @@ def plot_command(plot: Plot) -> str:
     """Command of a plot, as its page has it."""
     page = (ROOT / "docs" / "how_to" / plot.page).read_text()
     return plot.start + page.partition(plot.start)[2].partition("\n")[0]
+
+
+PAPER = {5: "paper_5", 6: "drift", 7: "paper_7", 8: "paper_8", 9: "paper_9"}
+"""Pictures of the paper's figures, by the number of the figure."""
+
+
+def figure_content(number: int, tracker: str) -> str:
+    """Content of a figure of the paper: the code that draws the figure, and the run of the tracker.
+
+    Args:
+        number: number of the figure.
+        tracker: `shown("tracker")`.
+    """
+    return inspect.getsource(FIGURES[number]) + tracker
 
 
 def verdict_words(rrd: Path) -> str:
@@ -360,9 +376,11 @@ def of_benchmark(folder: Path) -> None:
 
 
 def of_paper(folder: Path) -> None:
-    """Make that of the paper's Figure 6."""
+    """Make the paper's figures."""
     subprocess.run(["crosscheck", "figures", "--output", str(folder)], env=environment(80), check=True)
-    save(Image.open(folder / "figure_6.png"), "drift", shown("tracker"))
+    tracker = shown("tracker")
+    for number, name in PAPER.items():
+        save(Image.open(folder / f"figure_{number}.png"), name, figure_content(number, tracker))
 
 
 def of_plots(folder: Path) -> None:
