@@ -25,6 +25,7 @@ from newton_euler.equations.load_friction import EngineFriction
 from newton_euler.equations.model_control import EngineControl, servo_forces
 from newton_euler.equations.redundancy import constraint_rank, rows_left_out, with_zero_rows
 from newton_euler.equations.system import Evaluation
+from newton_euler.errors import check_choice
 from newton_euler.model.joint import Key
 from newton_euler.model.joint_geometry import JointGeometry, geometry_in_tree, loop_closing_geometry
 from newton_euler.model.scene import Scene
@@ -168,9 +169,11 @@ class RigidMuJoCo(EvaluatedScene):
             int(mujoco.mjtJoint.mjJNT_BALL): "ball",
         }
 
-        def read(name: str) -> tuple[str, Array, Array]:
-            """Return kind, axis (3,) and anchor (3,), world frame, of MuJoCo's joint `name`."""
-            index = model.joint(name).id
+        names = self.welded.tree.motion_names
+
+        def read(number: int) -> tuple[str, Array, Array]:
+            """Return kind, axis (3,) and anchor (3,), world frame, of a joint of MuJoCo."""
+            index = model.joint(names[number]).id
             return kinds[int(model.jnt_type[index])], data.xaxis[index].copy(), data.xanchor[index].copy()
 
         geometry = geometry_in_tree(self.welded, read)
@@ -238,28 +241,22 @@ class RigidMuJoCo(EvaluatedScene):
         """Move the point of a loop closure on its second body, to inject a fault into the compiled model.
 
         Args:
-            joint: name of the joint that closes the loop.
+            joint: name of the joint that closes the loop. MuJoCo has no equality for some joints, such as
+                hinges; they stay in the tree, at the added half of a cut body, whose weld closes the loop.
             shift: (3,) m, world frame at the initial pose.
+
+        Raises:
+            UnknownNameError: for a joint that closes no loop, and for a rod, which has no anchors in MuJoCo's
+                equality.
         """
+        closing = {name: each for name, each in self.welded.closing_joints.items() if not each.only_closes}
+        check_choice("joint that closes a loop", joint, closing)
         model, data = self.model, self.data
         data.qpos[:] = model.qpos0
         mujoco.mj_kinematics(model, data)
-        equality = model.equality(self._closing_equality(joint)).id
+        equality = model.equality(closing[joint].name).id
         is_weld = model.eq_type[equality] == mujoco.mjtEq.mjEQ_WELD
         rotation = data.xmat[model.eq_obj2id[equality]].reshape(3, 3)
         # eq_data: a weld has its anchor in body 2, then in body 1; a connect in body 1, then in body 2
         anchor_in_second = slice(0, 3) if is_weld else slice(3, 6)
         model.eq_data[equality, anchor_in_second] += rotation.T @ shift
-
-    def _closing_equality(self, joint: str) -> str:
-        """Return the name of the equality that closes the loop of a joint.
-
-        A joint that MuJoCo has no equality for, such as a hinge, stays in the tree, at the added half of a
-        cut body. The weld that closes the loop joins the original body (first) and the added half (second).
-        """
-        mechanism, welded = self.mechanism, self.welded.mechanism
-        closing_joint = welded.joints[mechanism.joint_index(joint)]
-        for weld in welded.joints[len(mechanism.joints) :]:
-            if weld.second in (closing_joint.first, closing_joint.second):
-                return weld.name
-        return joint

@@ -59,9 +59,11 @@ def joint_geometry(closed_model: ClosedLoopModel, welded: WeldedMechanism) -> di
     pin.updateFramePlacements(model, data)
     columns = np.reshape(data.J, (6, model.nv))  # linear and angular velocity per joint velocity
 
-    def read(name: str) -> tuple[str, Array, Array]:
+    names = welded.tree.motion_names
+
+    def read(number: int) -> tuple[str, Array, Array]:
         """Return kind, axis (3,) and point (3,), m, world frame, of a joint of the tree."""
-        index = model.getJointId(name)
+        index = model.getJointId(names[number])
         joint, point = model.joints[index], data.oMi[index].translation.copy()
         if joint.nv == 3:  # a ball, which has no axis
             return "ball", NOWHERE, point

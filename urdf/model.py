@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from newton_euler.model.source_file import xml_tree
-from newton_euler.model.spanning_tree import WeldedMechanism, motion_names
+from newton_euler.model.spanning_tree import WeldedMechanism
 from newton_euler.scalars import Array
 from urdf.errors import LoopFileError, UrdfError
 from urdf.loops import REVOLUTE, UNIVERSAL, Loops
@@ -285,8 +285,7 @@ class CoordinateMap:
         tree_q = np.zeros(model.nq, dtype=int)
         tree_v = np.zeros(model.nv, dtype=int)
         tree = welded.tree
-        names = [name for each in tree.joints for name in motion_names(tree.joint(each.joint), each.forward)]
-        for name, (motion, in_q, in_v) in zip(names, tree.motions, strict=True):
+        for name, (motion, in_q, in_v) in zip(tree.motion_names, tree.motions, strict=True):
             joint = model.joints[model.getJointId(name)]
             columns = np.arange(in_q.start, in_q.stop)
             if motion.kind == "ball":  # (w, x, y, z) to (x, y, z, w)

@@ -140,9 +140,10 @@ class Engine:
         fixed_steps: runs at a fixed step; None if the engine has none, or none that repeats to round-off.
         at_tolerance: returns settings of DOP853 at a relative tolerance, with rigid constraints; None if the
             engine has no such runs, or equations that are not independent of newton_euler's.
-        with_moved_anchor: returns the equations of a scene of which one loop-closing joint, by name, has its
-            point in the second body moved by a vector (3,), m, as a planted fault; None if the engine takes
-            both points from the scene.
+        with_moved_anchor: returns the equations of a scene with the point of one joint in its second body
+            moved by a vector (3,), m, as an injected fault; None if the engine takes both points from the
+            scene. The joint, by name, closes a loop outside of the spanning tree in which balls with springs
+            and rotors are kept (`WeldedMechanism.closing_joints`), and is no rod.
         importer: the engine's own reader of model files; None if it reads neither MJCF nor URDF.
         stress_settings: imports the settings of stress tests; the default runs alone if None.
         benchmarks: imports the benchmarks of the engine.

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from newton_euler.model.mechanism import Mechanism
-from newton_euler.model.spanning_tree import TreeJoint, WeldedMechanism, motion_names
+from newton_euler.model.spanning_tree import TreeJoint, WeldedMechanism
 from newton_euler.scalars import Array
 
 
@@ -63,24 +63,24 @@ def geometry_in_mechanism(mechanism: Mechanism) -> dict[str, JointGeometry]:
 
 
 def geometry_in_tree(
-    welded: WeldedMechanism, read: Callable[[str], tuple[str, Array, Array]]
+    welded: WeldedMechanism, read: Callable[[int], tuple[str, Array, Array]]
 ) -> dict[str, JointGeometry]:
     """Return the geometry of the joints in an engine's spanning tree by joint name.
 
     Args:
         welded: mechanism and spanning tree from which the engine's model was built.
-        read: function that reads one elementary motion from the engine's model by the name of the motion. It
-            returns the kind, the unit axis (3,) and the point (3,), m, of the motion of the child relative to
-            the parent.
+        read: function that reads one elementary motion from the engine's model by the number of the motion in
+            `SpanningTree.motions`. It returns the kind, the unit axis (3,) and the point (3,), m, of the
+            motion of the child relative to the parent.
     """
-    geometries = {}
+    geometries, next_number = {}, 0
     for tree_joint in welded.tree.joints:
-        joint_number = tree_joint.joint
-        if joint_number >= len(welded.mechanism.joints):
+        numbers = range(next_number, next_number + len(tree_joint.motions))
+        next_number = numbers.stop
+        if tree_joint.joint >= len(welded.mechanism.joints):
             continue  # the free joint that the tree adds for a body that only rods hold
-        joint = welded.tree.joint(joint_number)
-        motions = [read(name) for name in motion_names(joint, tree_joint.forward)]
-        geometries[joint.name] = _from_first_to_second(tree_joint, motions)
+        motions = [read(number) for number in numbers]
+        geometries[welded.tree.joint(tree_joint.joint).name] = _from_first_to_second(tree_joint, motions)
     return geometries
 
 

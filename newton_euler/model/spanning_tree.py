@@ -221,6 +221,13 @@ class SpanningTree:
         return tuple(place for joint in self.joints for place in joint.places)
 
     @property
+    def motion_names(self) -> list[str]:
+        """Names of all elementary motions in exported model files, in the order of `motions`."""
+        return [
+            name for joint in self.joints for name in motion_names(self.joint(joint.joint), joint.forward)
+        ]
+
+    @property
     def quaternions(self) -> list[slice]:
         """Slices of the quaternions of balls in q."""
         return [on_q for motion, on_q, _ in self.motions if motion.kind == "ball"]
@@ -378,6 +385,20 @@ class WeldedMechanism:
         body."""
         rows = list(self.origin)
         return State(*(array[rows] for array in state.arrays))
+
+    @property
+    def closing_joints(self) -> dict[str, Joint]:
+        """Joints of this mechanism that close loops, by the joint of the original mechanism at the loop.
+
+        This is the same joint, or the weld of the half that the joint holds.
+        """
+        joints, closing = self.mechanism.joints, dict[str, Joint]()
+        for cut in self.tree.cuts:
+            second, owner = self.mechanism.body_index(joints[cut].second), cut
+            if self.origin[second] != second:  # a half, at which there is one joint beside its weld
+                (owner,) = (k for k in self.mechanism.joints_at[second] if k != cut)
+            closing[joints[owner].name] = joints[cut]
+        return closing
 
 
 def weld_loops(

@@ -15,6 +15,7 @@ from mjcf.rigid import RigidMuJoCo
 from mjcf.soft import SoftMuJoCo
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation, System
+from newton_euler.errors import UnknownNameError
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Fixed, Free, Revolute, Spherical
 from newton_euler.model.mechanism import Body, Mechanism
@@ -145,3 +146,5 @@ def test_an_anchor_is_moved_whatever_its_weld_is_called() -> None:
         system.move_anchor(owner, np.array([0.0, 0.0, 1e-3]))
         # the point of the second body has gone up, and residuals are of the first less it
         assert system.phi(q)[:3] == pytest.approx([0.0, 0.0, -1e-3], abs=1e-14), (owner, cut)
+        with pytest.raises(UnknownNameError):
+            system.move_anchor(chosen.mechanism.joint_names[1], np.ones(3))  # a joint of the tree

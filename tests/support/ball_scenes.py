@@ -33,6 +33,18 @@ def twisted_loop() -> Scene:
     return with_balls(ball_loop())
 
 
+def two_ball_loop(loaded: str) -> Scene:
+    """A loop with the balls `at_b` and `at_c`, one with a spring; engines cut the loop at the other."""
+    scene = ball_loop()
+    joints = [
+        Spherical(joint.name, joint.first, joint.second, joint.point) if joint.name == "at_b" else joint
+        for joint in scene.mechanism.joints
+    ]
+    return replace(
+        scene, mechanism=Mechanism(scene.mechanism.bodies, joints), forces=(BallSpring(loaded, 3.0),)
+    )
+
+
 SCENES = {
     "ball": with_balls(spinning_top()),
     "ball in a loop": twisted_loop(),

@@ -23,7 +23,7 @@ import numpy as np
 from crosscheck.engines.applied import Motions, body_loads, commands, coordinate_elements, coordinate_load
 from crosscheck.engines.drake.closures import Closures
 from crosscheck.engines.drake.placed import PlacedPlant
-from crosscheck.engines.drake.plant import NAME, anchor_of, build
+from crosscheck.engines.drake.plant import NAME, build
 from crosscheck.engines.drake.readings import joint_geometry, mass_properties
 from newton_euler.equations.coupling_equations import TreeCouplings
 from newton_euler.equations.dense import solve_constrained
@@ -32,7 +32,7 @@ from newton_euler.equations.load_friction import EngineFriction, HeldFriction
 from newton_euler.equations.model_control import EngineControl, roles, servo_forces
 from newton_euler.equations.redundancy import constraint_rank, rows_left_out, with_zero_rows
 from newton_euler.equations.system import Energies, Evaluation, MassProperties, Observation
-from newton_euler.errors import SingularityError
+from newton_euler.errors import SingularityError, check_choice
 from newton_euler.model.constraints import Frame
 from newton_euler.model.euler_parameters import from_rotation, rotation
 from newton_euler.model.joint import Key
@@ -96,14 +96,20 @@ class DrakeSystem:
         Args:
             scene: the scene.
             shifts: vectors (3,), m, world frame at the initial pose, by which anchors of loops are moved on
-                their second bodies, by name of the joint.
+                their second bodies, by name of the joint that closes the loop.
+
+        Raises:
+            UnknownNameError: for a shift at a joint that closes no loop.
         """
         self.scene, self.mechanism, self.time = scene, scene.mechanism, 0.0
         # loaded: never close a loop by a ball with a spring, damper or armature
         welded = weld_loops(scene.mechanism, loaded=scene.loaded_balls)
         self.tree = welded.tree
         self._welded = welded
-        moved = {anchor_of(welded, joint): shift for joint, shift in (shifts or {}).items()}
+        closing, moved = welded.closing_joints, dict[str, Array]()
+        for joint, shift in (shifts or {}).items():
+            check_choice("joint that closes a loop", joint, closing)
+            moved[closing[joint].name] = shift
         self.placed = PlacedPlant(build(scene, welded, shifts=moved))
         self._frames = [body.body_frame() for body in self.placed.built.bodies[1:]]
         self._closures = Closures(self.placed, scene.mechanism.size)

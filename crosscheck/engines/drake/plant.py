@@ -43,7 +43,7 @@ from newton_euler.model.forces import JointSpring, PointSpring
 from newton_euler.model.joint_kinds import Rod
 from newton_euler.model.mechanism import Body
 from newton_euler.model.scene import Scene
-from newton_euler.model.spanning_tree import TreeJoint, WeldedMechanism, motion_names
+from newton_euler.model.spanning_tree import TreeJoint, WeldedMechanism
 from newton_euler.scalars import Array
 
 NAME = "drake"
@@ -142,12 +142,13 @@ def _add_joint(
     joint = welded.tree.joint(tree_joint.joint)
     parent, origin = bodies[tree_joint.parent], _origin(welded, tree_joint.parent)
     child, child_origin = bodies[tree_joint.child], _origin(welded, tree_joint.child)
-    names = motion_names(joint, tree_joint.forward)
-    if not names:
+    if not tree_joint.motions:
         frame = _frame(plant, f"{joint.name} on parent", parent, child_origin - origin)
         return plant.AddJoint(WeldJoint(joint.name, frame, child.body_frame(), RigidTransform()))
-    for k, (name, motion, point) in enumerate(zip(names, tree_joint.motions, tree_joint.points, strict=True)):
-        is_last = k == len(names) - 1
+    for k, (motion, point) in enumerate(zip(tree_joint.motions, tree_joint.points, strict=True), start=1):
+        is_last = k == len(tree_joint.motions)
+        # the number makes the name unique: joints `a` with two motions, and `a_1`, may be side by side
+        name = f"{joint.name} ({len(motions)})"
         # a massless body between two motions has its origin at the point of the first of them
         body = child if is_last else plant.AddRigidBody(f"after {name}", SpatialInertia.Zero())
         body_origin = child_origin if is_last else point
@@ -179,21 +180,6 @@ def _anchors(
         )
     )
     return Anchors(cut, kind, first, second, joint.length if isinstance(joint, Rod) else 0.0)
-
-
-def anchor_of(welded: WeldedMechanism, joint: str) -> str:
-    """Return the name of the joint of the welded mechanism whose anchors close the loop of a joint.
-
-    This is the joint itself, or the weld of the half of the body that the loop is cut at.
-    """
-    mechanism = welded.mechanism
-    index = mechanism.joint_index(joint)
-    if index in welded.tree.cuts:
-        return joint
-    ends = mechanism.equations[index].first, mechanism.equations[index].second
-    halves = [body for body in ends if welded.origin[body] != body]
-    (weld,) = (cut for cut in welded.tree.cuts if mechanism.equations[cut].second in halves)
-    return mechanism.joint_names[weld]
 
 
 def motion_of(built: Plant, joint: str, coordinate: int) -> Any:

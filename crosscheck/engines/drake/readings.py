@@ -34,11 +34,10 @@ def mass_properties(mechanism: Mechanism, placed: PlacedPlant) -> MassProperties
 
 def joint_geometry(placed: PlacedPlant) -> dict[str, JointGeometry]:
     """Return the joints by name, as the plant has them at the initial pose."""
-    by_name = {joint.name(): joint for joint in placed.built.motions}
 
-    def read(name: str) -> tuple[str, Array, Array]:
+    def read(number: int) -> tuple[str, Array, Array]:
         """Return kind, axis and point of a joint of Drake."""
-        joint = by_name[name]
+        joint = placed.built.motions[number]
         point, turn = placed.pose(joint.frame_on_child())
         kind = KINDS[joint.type_name()]
         if kind == "ball":

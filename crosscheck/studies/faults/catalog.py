@@ -150,10 +150,10 @@ def _body_faults(scene: Scene, size: float) -> Iterator[Fault]:
 def _joint_faults(scene: Scene, size: float) -> Iterator[Fault]:
     """Yield faults of a size in points and axes of each joint.
 
-    The spanning tree connects each body to the ground by one path of joints. Joints outside the tree (cuts)
-    close loops. A wrong point of such a joint on one of its bodies opens a loop.
+    A wrong point of a joint that closes a loop, on one of its bodies, opens the loop. A rod has another
+    length then, and opens no loop.
     """
-    length, cuts = scene.mechanism.size, SpanningTree(scene.mechanism).cuts
+    length, cuts = scene.mechanism.size, _cuts(scene)
     for index, joint in enumerate(scene.mechanism.joints):
         expected, neighbors = frozenset({joint.name}), connected_bodies(joint)
         for label, axis in zip("xyz", np.eye(3), strict=True):
@@ -170,7 +170,7 @@ def _joint_faults(scene: Scene, size: float) -> Iterator[Fault]:
                     opened,
                     expected,
                     neighbors,
-                    closure_shift=shift,
+                    closure_shift=None if joint.only_closes else shift,
                 )
         for label, tilted in injection.tilted_axes(joint, size).items():
             yield Fault("axis direction", joint.name, label, size, tilted, expected, neighbors)
@@ -230,6 +230,15 @@ def _faulty_gravities(gravity: Array, size: float) -> dict[str, Array]:
     return {"strength": (1.0 + size) * gravity, **turned}
 
 
+def _cuts(scene: Scene) -> tuple[int, ...]:
+    """Return the indices of the joints that close loops.
+
+    The spanning tree connects each body to the ground by one path of joints. The joints outside the tree
+    close loops. The tree is that of the engines, in which balls with springs or rotors carry coordinates.
+    """
+    return SpanningTree(scene.mechanism, loaded=scene.loaded_balls).cuts
+
+
 def connected_bodies(joint: Joint) -> frozenset[str]:
     """Return the names of the two bodies that a joint connects."""
     return frozenset({joint.first, joint.second})
@@ -249,7 +258,7 @@ def _body_confusions(scene: Scene) -> Iterator[Fault]:
 
 def _joint_confusions(scene: Scene) -> Iterator[Fault]:
     """Yield faults without a size of joints: reversed axis, another joint type, missing loop closure."""
-    cuts = SpanningTree(scene.mechanism).cuts
+    cuts = _cuts(scene)
     for index, joint in enumerate(scene.mechanism.joints):
         missing = Fault(
             "missing closure",

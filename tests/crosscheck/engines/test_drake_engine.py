@@ -26,10 +26,9 @@ from newton_euler import simulate as reference
 from newton_euler.errors import OptionError, SingularityError, UnknownNameError
 from newton_euler.model.digital_control import Sampled
 from newton_euler.model.forces import PointSpring
-from newton_euler.model.joint_kinds import Fixed, Revolute
+from newton_euler.model.joint_kinds import Fixed, Revolute, Universal
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.trajectory import IntegrationError, distance
 from newton_euler.runs.assemble import initial_state
 
@@ -213,13 +212,34 @@ def test_an_error_of_drake_is_one_of_the_equations():
         system.acceleration(*system.coordinates(initial_state(scene)))
 
 
-@pytest.mark.parametrize(("name", "level"), [("four_bar", "model"), ("bricard", "kinematics")])
-def test_a_moved_anchor_is_found(name, level):
-    """Bricard's loop is cut at a hinge: a weld of two halves of a body closes it."""
-    scene = load(name)
-    closing = scene.mechanism.joint_names[SpanningTree(scene.mechanism).cuts[0]]
-    system = ENGINE.with_moved_anchor(scene, closing, np.array([0.0, 0.0, 1e-3]))
-    assert level in {found for found, _ in failures(scene, system)}
+@pytest.mark.parametrize(
+    ("scene", "joint", "level"),
+    [
+        (load("four_bar"), "ball_1", "model"),
+        (load("bricard"), "hinge_4", "kinematics"),  # a hinge: a weld of two halves of a body closes the loop
+        (ball_scenes.two_ball_loop(loaded="at_c"), "at_b", "model"),
+    ],
+)
+def test_a_moved_anchor_is_found(scene, joint, level):
+    system = ENGINE.with_moved_anchor(scene, joint, np.array([0.0, 0.0, 1e-3]))
+    assert level in {found for found, _ in failures(scene, system, others=1)}
+    with pytest.raises(UnknownNameError) as caught:  # a joint of the tree
+        ENGINE.with_moved_anchor(scene, scene.mechanism.joint_names[0], np.ones(3))
+    assert joint in caught.value.valid
+
+
+def test_names_that_could_clash_in_drake():
+    """A joint of two motions beside joints with the names of these motions in files, and names of Drake's."""
+    bodies = ["world", "WorldBody", "a"]
+    bars = [bar(name, [0.4 * k, 0.0, 0.0], [0.4 * k + 0.4, 0.1, 0.0]) for k, name in enumerate(bodies)]
+    axes = {"axis_on_first": [0.0, 1.0, 0.0], "axis_on_second": [0.0, 0.0, 1.0]}
+    joints = [
+        Universal("a", "ground", "world", np.zeros(3), **axes),
+        Revolute("a_1", "world", "WorldBody", [0.4, 0.0, 0.0], axis=[0.0, 1.0, 0.3]),
+        Revolute("a_2", "WorldBody", "a", [0.8, 0.0, 0.0], axis=[0.3, 1.0, 0.0]),
+    ]
+    scene = Scene("names", Mechanism([Body.ground(), *bars], joints), 0.1, 0.1, GRAVITY)
+    assert failures(scene, DrakeSystem(scene), others=1) == []
 
 
 def test_the_registry_has_the_engine():

@@ -6,9 +6,11 @@ import json
 import re
 from dataclasses import replace
 
+import ball_scenes
 import numpy as np
 import pytest
 from command_line import EXAMPLE, run
+from elements import JOINTS
 from mechanisms import GRAVITY, pendulum
 
 from crosscheck.engines.registry import ENGINES
@@ -118,6 +120,24 @@ def test_the_mass_of_a_body_fixed_to_the_ground(gravity, observable):
     assert result.observable == observable
     assert (result.detection.level, result.detection.where) == ("model", "stone")
     assert (result.detection_by_motion is not None) == observable
+
+
+@pytest.mark.parametrize(
+    ("scene", "closing"),
+    [
+        # engines cut this loop at another ball than newton_euler, as that ball has a spring
+        (ball_scenes.two_ball_loop(loaded="at_c"), {"at_b"}),
+        (JOINTS["rods"], {"coupler", "stay"}),  # of another length
+    ],
+)
+def test_points_of_closures_in_each_engine(scene, closing):
+    faults = [fault for fault in catalog(scene, (1e-2,)) if fault.kind == "closure point"]
+    assert {fault.element for fault in faults} == closing
+    free = FaultFree(scene)
+    for engine in ENGINES.values():
+        result = find_fault(faults[0], engine, free)
+        assert result.located
+        assert result.detection.level in ("model", REFUSED)
 
 
 def test_an_open_closure_is_refused_or_seen(example, own):
