@@ -15,7 +15,7 @@ import warnings
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from functools import cached_property, lru_cache
-from typing import Any, Unpack
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
@@ -316,7 +316,7 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
     options.check_steps(scene.duration)
     q, v = system.coordinates(initial_state(scene))
     start = time.perf_counter()
-    rows: list[tuple[System, float, Array, Array]] = []  # equations, time, q and v at each output time
+    rows = list[OutputState]()
     counts = Counter(steps=0, evaluations=0)
     stopped: IntegrationError | None = None
     # values that are constant in an interval, by parameter name: coefficients of the polynomial pieces of
@@ -339,23 +339,60 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
         for t, is_output, state in zip(interval.times, interval.is_output, table, strict=False):
             q, v = state[: system.nq], state[system.nq :]
             if is_output:
-                rows.append((system, t, q, v))
+                rows.append(OutputState(system, t, q, v))
         if stopped:
             break
     wall_time = time.perf_counter() - start
-    # evaluate the outputs
-    evaluations: list[Observation] = []
-    coupling_residuals: list[Array] = []
-    for system_of_row, t, q, v in rows:
-        now = at_time(system_of_row, t)
+    settings = settings | options.as_settings() | dict(counts)
+    return trajectory_of_states(scene, engine, settings, wall_time, rows, stopped)
+
+
+class OutputState(NamedTuple):
+    """State of a run at an output time.
+
+    Attributes:
+        system: equations that evaluate the state.
+        time: s.
+        q: (nq,) coordinates.
+        v: (nv,) velocities.
+    """
+
+    system: System
+    time: float
+    q: Array
+    v: Array
+
+
+def trajectory_of_states(
+    scene: Scene,
+    engine: str,
+    settings: dict[str, Any],
+    wall_time: float,
+    rows: Iterable[OutputState],
+    stopped: StoppedError | None = None,
+) -> Trajectory:
+    """Evaluate the states of a run at the output times, and build its trajectory.
+
+    A state that cannot be evaluated ends the trajectory, as a run does that stops there. For the other
+    arguments and errors see `trajectory_from`.
+
+    Args:
+        scene, engine, settings, wall_time: see `trajectory_from`.
+        rows: states at the output times reached.
+        stopped: the error that ended the run early.
+    """
+    evaluations, coupling_residuals = list[Observation](), list[Array]()
+    for system, t, q, v in rows:
+        now = at_time(system, t)
         try:
             with np.errstate(all="ignore"):  # `trajectory_from` checks that numbers are finite
-                evaluations.append(now.evaluate(q, v) if scene.needs_accelerations else now.observe(q, v))
-                coupling_residuals.append(now.coupling_phi(q))
+                evaluation = now.evaluate(q, v) if scene.needs_accelerations else now.observe(q, v)
+                residuals = now.coupling_phi(q)
         except NewtonEulerError as error:
             stopped = stopped or IntegrationError(t, str(error))
             break
-    settings = settings | options.as_settings() | dict(counts)
+        evaluations.append(evaluation)
+        coupling_residuals.append(residuals)
     return trajectory_from(scene, engine, settings, wall_time, evaluations, coupling_residuals, stopped)
 
 

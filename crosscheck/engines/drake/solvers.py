@@ -30,14 +30,13 @@ from crosscheck.engines.drake.turned_balls import TurnedBalls
 from crosscheck.engines.limits import Limit, require_expressed
 from newton_euler.arguments import checked
 from newton_euler.equations.couplings import couplings
-from newton_euler.equations.system import Observation
 from newton_euler.errors import NewtonEulerError, OptionError, UnknownNameError
 from newton_euler.integrators.options import MAX_FIXED_STEPS
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.trajectory import IntegrationError, Trajectory
 from newton_euler.runs.assemble import initial_state
-from newton_euler.runs.simulate import trajectory_from
+from newton_euler.runs.simulate import OutputState, trajectory_of_states
 from newton_euler.scalars import Array
 
 SolverName = Literal["SAP", "runge_kutta5"]
@@ -65,14 +64,14 @@ class OwnRun(NamedTuple):
     """States of a run by a solver of Drake.
 
     Attributes:
-        rows: time, s, tree coordinates with the work, J, and tree velocities, for each
-            output that the run reached.
+        rows: states at the outputs that the run reached: tree coordinates with the work, J, and tree
+            velocities.
         seconds: duration of the steps.
         steps, evaluations: numbers of steps, and of evaluations of the equations.
         stopped: the error that ended the run early, if any.
     """
 
-    rows: list[tuple[float, Array, Array]]
+    rows: list[OutputState]
     seconds: float
     steps: int
     evaluations: int
@@ -132,13 +131,8 @@ def simulate_with(
     require_expressed(NAME, limits_of_solver(scene, solver))
     equations = DrakeSystem(scene)
     run = _Run(equations, settings.get("step", 0.0), settings.get("accuracy", 0.0)).run()
-    evaluations, coupling_residuals = list[Observation](), list[Array]()
-    for at, q, v in run.rows:
-        equations.time = at
-        evaluations.append((equations.evaluate if scene.needs_accelerations else equations.observe)(q, v))
-        coupling_residuals.append(equations.coupling_phi(q))
     settings |= {"steps": run.steps, "evaluations": run.evaluations}
-    return trajectory_from(scene, NAME, settings, run.seconds, evaluations, coupling_residuals, run.stopped)
+    return trajectory_of_states(scene, NAME, settings, run.seconds, run.rows, run.stopped)
 
 
 def _step(scene: Scene, step: float) -> float:
@@ -202,13 +196,13 @@ class _Run:
         q, v = self._equations.coordinates(initial_state(self._scene))
         positions, to_drake = self._equations.placed.positions(q)
         self._plant.SetPositionsAndVelocities(self._in_plant, np.concatenate([positions, to_drake @ v]))
-        rows, stopped = list[tuple[float, Array, Array]](), None
+        rows, stopped = list[OutputState](), None
         start = time.perf_counter()
         try:
             self._simulator.Initialize()
             for at in self._scene.times:
                 self._advance(float(at))
-                rows.append((float(at), *self._tree_state()))
+                rows.append(OutputState(self._equations, float(at), *self._tree_state()))
         except IntegrationError as error:
             stopped = error
         except (RuntimeError, NewtonEulerError) as error:  # of Drake, and of forces at a state without any

@@ -15,11 +15,12 @@ from mechanisms import GRAVITY, bar, pendulum
 pytest.importorskip("pydrake")
 
 from crosscheck.engines.drake import ENGINE
+from crosscheck.engines.drake.equations import DrakeSystem
 from crosscheck.engines.drake.solvers import limits_of_solver, simulate_with
 from crosscheck.engines.limits import CannotExpressError
 from crosscheck.library import SCENES, load
 from newton_euler import simulate as reference
-from newton_euler.errors import OptionError, UnknownNameError
+from newton_euler.errors import OptionError, SingularityError, UnknownNameError
 from newton_euler.model.control import PD
 from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism
@@ -188,6 +189,21 @@ def test_runs_that_diverge_do_not_end_the_process():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert len(done.stdout.splitlines()) == 2
+
+
+def test_a_state_that_cannot_be_evaluated_ends_the_trajectory(monkeypatch):
+    right = DrakeSystem.evaluate
+
+    def evaluate(self, q, v):
+        if self.time > 0.25:
+            raise SingularityError("hinge", "no solution")
+        return right(self, q, v)
+
+    monkeypatch.setattr(DrakeSystem, "evaluate", evaluate)
+    for solver in ("SAP", "runge_kutta5"):
+        with pytest.raises(IntegrationError, match="no solution") as caught:
+            simulate_with(swing(), solver)
+        np.testing.assert_allclose(caught.value.partial.time, [0.0, 0.1, 0.2])
 
 
 def test_a_force_that_is_not_finite_stops_the_run(monkeypatch):
