@@ -94,6 +94,11 @@ class BodyLoads(NamedTuple):
     energy: float
     native_energy: float
 
+    @classmethod
+    def none(cls, bodies: int) -> BodyLoads:
+        """Return no forces on a number of bodies."""
+        return cls(np.zeros((bodies, 6)), power=0.0, energy=0.0, native_energy=0.0)
+
 
 def body_loads(scene: Scene, state: State, time: float, native: Collection[object] = ()) -> BodyLoads:
     """Compute the forces on bodies at a state and a time, s.
@@ -104,10 +109,10 @@ def body_loads(scene: Scene, state: State, time: float, native: Collection[objec
         time: s.
         native: springs that the engine's own model has.
     """
+    if not scene.body_forces:
+        return BodyLoads.none(len(scene.mechanism.bodies))
     rates = np.hstack([state.linear_velocity, state.angular_velocity])
     wrenches, power, energies = np.zeros(rates.shape), 0.0, [0.0, 0.0]
-    if not scene.body_forces:
-        return BodyLoads(wrenches, power, *energies)
     of_element = Wrenches(scene.mechanism, state, time)
     for force in scene.body_forces:
         of_element.total[:] = 0.0

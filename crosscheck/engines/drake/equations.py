@@ -20,7 +20,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from crosscheck.engines.applied import Motions, body_loads, commands, coordinate_elements, coordinate_load
+from crosscheck.engines.applied import (
+    BodyLoads,
+    Motions,
+    body_loads,
+    commands,
+    coordinate_elements,
+    coordinate_load,
+)
 from crosscheck.engines.drake.closures import Closures
 from crosscheck.engines.drake.placed import PlacedPlant
 from crosscheck.engines.drake.plant import NAME, build
@@ -43,8 +50,8 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array, Scalar
 
 
-class AppliedForces(NamedTuple):
-    """Forces of a scene at one state, except gravity.
+class TreeForces(NamedTuple):
+    """Forces of a scene on the bodies and coordinates of the spanning tree at one state, except gravity.
 
     Attributes:
         along: (nv,) forces on the coordinates of the tree, N or N m, without those of Drake's springs.
@@ -131,7 +138,7 @@ class DrakeSystem:
         self._friction = EngineFriction(scene, DrakeSystem)
         self.held_friction: HeldFriction | None = None
         self._rows: tuple[list[int], int] | None = None
-        self._latest_forces: tuple[Any, AppliedForces] | None = None
+        self._latest_forces: tuple[Any, TreeForces] | None = None
         self._latest_solution: tuple[Any, Solution] | None = None
 
     def _place(self, key: Key) -> tuple[int, int]:
@@ -237,7 +244,7 @@ class DrakeSystem:
 
     # Forces and accelerations
 
-    def forces(self, q: Array, v: Array) -> AppliedForces:
+    def forces(self, q: Array, v: Array) -> TreeForces:
         """Compute the forces of the scene; those of the last state are kept."""
         key = self._key(q, v)
         if self._latest_forces is None or self._latest_forces[0] != key:
@@ -250,10 +257,13 @@ class DrakeSystem:
         held = None if self.held_friction is None else tuple(self.held_friction.items())
         return self.scene, self.time, held, q.tobytes(), v.tobytes()
 
-    def _forces(self, q: Array, v: Array) -> AppliedForces:
+    def _forces(self, q: Array, v: Array) -> TreeForces:
         """Compute the forces of the scene at the present state, which is q and v."""
         scene, motions, time = self.scene, self._motions(q, v), self.time
-        loads = body_loads(scene, self._state(q, self._body_frames()), time, self.placed.built.springs)
+        loads = BodyLoads.none(len(self.mechanism.bodies))
+        if scene.body_forces:
+            state = self._state(q, self._body_frames())
+            loads = body_loads(scene, state, time, self.placed.built.springs)
         _, power, energy, _ = loads
         given: Mapping[Key, float] = {}
         if self._control:
@@ -274,7 +284,7 @@ class DrakeSystem:
                 power += (force + loaded - elastic) * v[on_v]
             if place < len(scene.control):
                 control += load.forces
-        return AppliedForces(along, drives, loads.wrenches, np.array(control), float(power), energy)
+        return TreeForces(along, drives, loads.wrenches, np.array(control), float(power), energy)
 
     def loaded_friction(self, q: Array, v: Array, factor: float = 1.0) -> HeldFriction:
         """Compute the frictions that grow with reactions, N or N m, by identity."""

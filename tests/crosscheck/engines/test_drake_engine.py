@@ -16,11 +16,13 @@ from mechanisms import GRAVITY, bar, pendulum
 
 pytest.importorskip("pydrake")
 
+from crosscheck.engines.benchmarks import poses_only
 from crosscheck.engines.drake import ENGINE
 from crosscheck.engines.drake.equations import DrakeSystem
 from crosscheck.engines.drake.simulate import simulate
 from crosscheck.engines.registry import choose
 from crosscheck.library import SCENES, load
+from crosscheck.studies.benchmark.reference import pose_errors
 from crosscheck.studies.conformance_tests import EngineConformance
 from newton_euler import simulate as reference
 from newton_euler.errors import OptionError, SingularityError, UnknownNameError
@@ -240,6 +242,20 @@ def test_names_that_could_clash_in_drake():
     ]
     scene = Scene("names", Mechanism([Body.ground(), *bars], joints), 0.1, 0.1, GRAVITY)
     assert failures(scene, DrakeSystem(scene), others=1) == []
+
+
+def test_benchmarks_become_more_accurate_from_setting_to_setting():
+    scene = poses_only(replace(load("chain"), duration=0.2, output_period=0.1))
+    exact = reference(scene, rtol=1e-12, atol=1e-14)
+    for name, make in ENGINE.benchmarks().models(scene).items():
+        model = make()
+        (ladder,) = model.ladders
+        assert 6 <= len(ladder.numbers) <= 10  # more would take minutes
+        coarse, fine = (
+            max(pose_errors(model.run(options).poses(), (exact.position, exact.quaternion)))
+            for _, options in (ladder.setting(ladder.numbers[end]) for end in (0, -1))
+        )
+        assert fine < 0.02 * coarse, name  # SAP, of order 1: a hundredth of the step
 
 
 def test_the_registry_has_the_engine():
