@@ -15,9 +15,8 @@ import numpy as np
 
 from newton_euler.model.control import ComputedTorque, DeclaredLaw
 from newton_euler.model.digital_control import HeldLaw, Law
-from newton_euler.model.forces import BallSpring, JointSpring, PointSpring
+from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring
 from newton_euler.model.joint import Key
-from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.switched_forces import ElasticGear, JointFriction, JointStop
@@ -114,26 +113,30 @@ def body_loads(scene: Scene, state: State, time: float, native: Collection[objec
     rates = np.hstack([state.linear_velocity, state.angular_velocity])
     wrenches, power, energies = np.zeros(rates.shape), 0.0, [0.0, 0.0]
     of_element = Wrenches(scene.mechanism, state, time)
-    for force in scene.body_forces:
+
+    def applied(force: Force) -> Array:
+        """Return the wrenches (b, 6) of one element."""
         of_element.total[:] = 0.0
         of_element.add_force(force)
-        power += float(np.sum(of_element.total * rates))
+        return of_element.total.copy()
+
+    for force in scene.body_forces:
         is_native = any(force is each for each in native)
+        if isinstance(force, PointSpring):
+            at = of_element.stretch(force)
+            power -= force.damping * at.rate**2
+            energies[is_native] += 0.5 * force.stiffness * (at.length - force.rest_length) ** 2
+            if not is_native:
+                wrenches += applied(force)
+            continue
+        total = applied(force)
+        power += float(np.sum(total * rates))
         if not is_native:
-            wrenches += of_element.total
-        if isinstance(force, PointSpring | BallSpring) and force.stiffness:
-            # the force of an undamped spring is its stiffness times its deflection
-            of_element.total[:] = 0.0
-            of_element.add_force(altered(force, damping=0.0))
-            power -= float(np.sum(of_element.total * rates))
-            pull = of_element.total[_second_body(scene.mechanism, force)]
-            part = pull[:3] if isinstance(force, PointSpring) else pull[3:]
-            energies[is_native] += 0.5 * float(part @ part) / force.stiffness
+            wrenches += total
+        if isinstance(force, BallSpring) and force.stiffness:
+            # the torque of an undamped spring is its stiffness times its deflection
+            elastic = applied(altered(force, damping=0.0))
+            power -= float(np.sum(elastic * rates))
+            pull = elastic[scene.mechanism.joint_equations(force.joint).second, 3:]
+            energies[is_native] += 0.5 * float(pull @ pull) / force.stiffness
     return BodyLoads(wrenches, power, *energies)
-
-
-def _second_body(mechanism: Mechanism, spring: PointSpring | BallSpring) -> int:
-    """Return the number of the second body of a spring."""
-    if isinstance(spring, PointSpring):
-        return mechanism.body_index(spring.second)
-    return mechanism.joint_equations(spring.joint).second

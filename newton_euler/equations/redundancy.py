@@ -167,8 +167,8 @@ class Mobility:
 _MOBILITIES: WeakKeyDictionary[Scene, Mobility] = WeakKeyDictionary()
 """Results of the mobility analysis by scene."""
 
-_ROWS_LEFT_OUT: WeakKeyDictionary[Scene, dict[str, list[int]]] = WeakKeyDictionary()
-"""Results of `rows_left_out` by scene, and by name of the form of the equations or of the engine."""
+_ROWS_LEFT_OUT: WeakKeyDictionary[System, list[int]] = WeakKeyDictionary()
+"""Results of `rows_left_out` by equations of motion."""
 
 
 def mobility(scene: Scene) -> Mobility:
@@ -198,34 +198,38 @@ def rows_left_out(system: System) -> list[int]:
     found, count = mobility(system.scene), len(system.phi_units)
     if found.residual == 0.0:
         return []
-    known = _ROWS_LEFT_OUT.setdefault(system.scene, {})
-    if isinstance(system, Formulation):
-        if system.omitted is not None:  # same rows as in the compiled equations
-            return system.omitted
-        used = system.rows_of(found.independent)
-    elif system.name in known:
-        return known[system.name]
-    else:
-        known[system.name] = dependent_rows(system)
-        return known[system.name]
-    known[system.name] = sorted(set(range(count)) - set(used))
-    return known[system.name]
+    if (
+        isinstance(system, Formulation) and system.omitted is not None
+    ):  # same rows as in the compiled equations
+        return system.omitted
+    if system not in _ROWS_LEFT_OUT:
+        if isinstance(system, Formulation):
+            used = system.rows_of(found.independent)
+            _ROWS_LEFT_OUT[system] = sorted(set(range(count)) - set(used))
+        else:
+            _ROWS_LEFT_OUT[system] = dependent_rows(system)
+    return _ROWS_LEFT_OUT[system]
 
 
-def dependent_rows(system: System) -> list[int]:
+def dependent_rows(system: System, state: State | None = None) -> list[int]:
     """Select constraint rows that follow from the others, exactly or almost, and leave the others full rank.
 
-    A QR factorization with pivoting selects the rows to keep, at the configuration of the largest rank among
-    those that the mobility analysis has examined.
+    A QR factorization with pivoting selects the rows to keep.
+
+    Args:
+        system: equations of motion.
+        state: state at which the rows are selected; None for the configuration of the largest rank among
+            those that the mobility analysis has examined.
 
     Returns:
         Row numbers in `phi` of the system, ascending.
     """
     from scipy.linalg import qr
 
-    found = mobility(system.scene)
-    best = max(range(len(found.states)), key=lambda k: found.configurations[k].rank)
-    q, _ = system.coordinates(found.states[best])
+    if state is None:
+        found = mobility(system.scene)
+        state = found.states[max(range(len(found.states)), key=lambda k: found.configurations[k].rank)]
+    q, _ = system.coordinates(state)
     _, pivots = qr(dimensionless_jacobian(system, q).T, mode="r", pivoting=True)
     return sorted(pivots[constraint_rank(system) :].tolist())
 

@@ -50,6 +50,23 @@ class CoordinateMotion(NamedTuple):
     rate: float
 
 
+class Stretch(NamedTuple):
+    """The line between the two points of a spring.
+
+    Attributes:
+        arms: index of the first body and of the second body, each with the vector (3,) from its center of
+            mass to the point, m, world frame.
+        along: (3,) unit vector from the first point to the second one; zero if they coincide.
+        length: distance of the points, m.
+        rate: rate of the length, m/s.
+    """
+
+    arms: Sequence[tuple[int, Array]]
+    along: Array
+    length: float
+    rate: float
+
+
 class Wrenches:
     """Sums of wrenches on the b bodies of a mechanism at one state; forces are added one after the other.
 
@@ -173,22 +190,26 @@ class Wrenches:
         rows = np.concatenate(jacobian, axis=1)
         return CoordinateMotion(equations.first, equations.second, rows[0], value, rate)
 
-    def _add_point_spring(self, spring: PointSpring) -> None:
-        """Add the force of a spring and damper between points of two bodies, along the line between them."""
-        bodies = [self.mechanism.body_index(name) for name in (spring.first, spring.second)]
+    def stretch(self, spring: PointSpring) -> Stretch:
+        """Measure the line between the two points of a spring."""
         arms, positions, velocities = [], [], []
-        for body, point in zip(bodies, (spring.point_on_first, spring.point_on_second), strict=True):
+        for name, point in ((spring.first, spring.point_on_first), (spring.second, spring.point_on_second)):
+            body = self.mechanism.body_index(name)
             frame, arm = self.frames[body], self._lever_arm(body, point)
-            arms.append(arm)
+            arms.append((body, arm))
             positions.append(frame.position + arm)
             velocities.append(frame.velocity + np.cross(frame.angular_velocity, arm))
         line = positions[1] - positions[0]
         length = float(np.linalg.norm(line))
         along = line / (length or 1.0)  # a spring without rest length and damping may have zero length
-        stretch_rate = float(along @ (velocities[1] - velocities[0]))
-        tension = spring.stiffness * (length - spring.rest_length) + spring.damping * stretch_rate
-        on_first = tension * along
-        for body, arm, force in zip(bodies, arms, (on_first, -on_first), strict=True):
+        return Stretch(arms, along, length, float(along @ (velocities[1] - velocities[0])))
+
+    def _add_point_spring(self, spring: PointSpring) -> None:
+        """Add the force of a spring and damper between points of two bodies, along the line between them."""
+        at = self.stretch(spring)
+        tension = spring.stiffness * (at.length - spring.rest_length) + spring.damping * at.rate
+        on_first = tension * at.along
+        for (body, arm), force in zip(at.arms, (on_first, -on_first), strict=True):
             self._add(body, force, np.zeros(3), arm)
 
     def _add_ball_spring(self, spring: BallSpring) -> None:

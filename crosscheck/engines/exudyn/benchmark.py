@@ -19,7 +19,8 @@ from crosscheck.engines.benchmarks import (
     step_ladder,
 )
 from crosscheck.engines.exudyn.limits import limits
-from crosscheck.engines.exudyn.simulate import INTEGRATORS, simulate
+from crosscheck.engines.exudyn.run import INTEGRATORS
+from crosscheck.engines.exudyn.simulate import simulate
 from crosscheck.engines.limits import require_expressed
 from newton_euler.model.scene import Scene
 

@@ -77,7 +77,11 @@ class ExudynSystem:
     name = "exudyn"
 
     def __init__(
-        self, scene: Scene, left_out: Collection[int] = (), shifts: Mapping[str, Array] | None = None
+        self,
+        scene: Scene,
+        left_out: Collection[int] = (),
+        shifts: Mapping[str, Array] | None = None,
+        divided: bool = False,
     ) -> None:
         """Build the model, see `build`.
 
@@ -86,7 +90,7 @@ class ExudynSystem:
         """
         require_expressed(self.name, limits(scene))
         self.scene, self.mechanism, self.time = scene, scene.mechanism, 0.0
-        self.model = build(scene, left_out, shifts)
+        self.model = build(scene, left_out, shifts, divided)
         settings = exu.SimulationSettings()
         settings.solution.file.write = False
         settings.timeIntegration.verboseMode = 0

@@ -1,9 +1,15 @@
 """Joints of a scene as generic joints of Exudyn, which constrain axes between the frames of two markers.
 
-`ObjectJointGeneric` has a flag for each of three translations and three rotations. Translations are along
-the axes of the first marker. Two constrained rotations, about x and y, keep the z axes of both markers
-parallel. A single constrained rotation, about z, keeps x of the first marker perpendicular to y of the second
-one.
+`ObjectJointGeneric` has a flag for each of three translations and three rotations. The meaning of an equation
+depends on the other flags:
+
+- One or two translations are along axes of the first marker, but three translations are along the world's.
+- Three rotations keep z, z and x of the first marker perpendicular to y, x and y of the second one.
+- Two rotations, about x and y, keep z of the first marker perpendicular to x and y of the second one.
+- A single rotation, about z, keeps x of the first marker perpendicular to y of the second one.
+
+Therefore a redundant equation is not left out by clearing its flag: the others would change. Instead, the
+joint is divided into generic joints of one equation each, see `rows`.
 """
 
 from __future__ import annotations
@@ -21,6 +27,9 @@ from newton_euler.scalars import Array
 Flags = tuple[int, int, int, int, int, int]
 """Constrained translations along x, y, z and rotations about x, y, z: 1 if constrained, else 0."""
 
+SINGLE_ROTATION: Flags = (0, 0, 0, 0, 0, 1)
+"""Flags of a joint that keeps x of the first marker perpendicular to y of the second one."""
+
 AXIS_FLAGS: dict[str, Flags] = {
     "revolute": (1, 1, 1, 1, 1, 0),
     "cylindrical": (1, 1, 0, 1, 1, 0),
@@ -32,6 +41,16 @@ AXIS_FLAGS: dict[str, Flags] = {
 }
 """Flags of the joints with one axis, by kind; the axis is z of both markers. The thread of a screw is a
 coupling."""
+
+
+PERPENDICULAR: dict[tuple[int, ...], tuple[tuple[int, int], ...]] = {
+    (0, 0, 0): (),
+    (0, 0, 1): ((0, 1),),
+    (1, 1, 0): ((2, 0), (2, 1)),
+    (1, 1, 1): ((2, 1), (2, 0), (0, 1)),
+}
+"""Equations of constrained rotations, by their flags: number of the axis of the first marker, and of the axis
+of the second marker that is perpendicular to it."""
 
 
 class Part(NamedTuple):
@@ -63,6 +82,21 @@ def parts(joint: Joint) -> list[Part]:
         return [part for part in both if any(part.flags)]
     flags: dict[str, Flags] = {"fixed": (1, 1, 1, 1, 1, 1), "spherical": (1, 1, 1, 0, 0, 0)}
     return [Part(np.eye(3), flags[joint.kind])] if joint.kind in flags else []
+
+
+def rows(part: Part) -> list[Part]:
+    """Divide a generic joint into generic joints of one equation each, in the order of its flags.
+
+    Together they allow the same motions. Each can be left out without a change of the others.
+    """
+    translations = [
+        Part(part.axes, (int(k == 0), int(k == 1), int(k == 2), 0, 0, 0)) for k in range(3) if part.flags[k]
+    ]
+    rotations = []
+    for first, second in PERPENDICULAR[part.flags[3:]]:
+        x, y = part.axes[:, first], part.axes[:, second]
+        rotations.append(Part(np.column_stack([x, y, np.cross(x, y)]), SINGLE_ROTATION))
+    return translations + rotations
 
 
 def why_not(joint: Joint) -> str:

@@ -6,7 +6,8 @@ Facts about Exudyn 1.13 on which this module depends:
 - The order of an inertia is (xx, yy, zz, yz, xz, xy), body frame, about the center of mass.
 - The ground has its frame at the world's origin.
 - A generic joint always has six algebraic equations; that of a free axis is: multiplier = 0.
-- The solvers need independent equations: redundant ones must be left out of the model.
+- The solvers need independent equations: redundant ones must be left out of the model. A joint of which an
+  equation is left out is divided into joints of one equation each, see `crosscheck.engines.exudyn.joints`.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ from crosscheck.engines.exudyn.connectors import (
 from crosscheck.engines.exudyn.coordinates import NODAL, JointCoordinates
 from crosscheck.engines.exudyn.couplings import CoordinateEquation, rotor_equations
 from crosscheck.engines.exudyn.forces import loaded_bodies
-from crosscheck.engines.exudyn.joints import parts
+from crosscheck.engines.exudyn.joints import parts, rows
 from newton_euler.equations.couplings import couplings
 from newton_euler.model.control import ControlLaw, DeclaredLaw
 from newton_euler.model.forces import PointSpring, Wrench
@@ -126,15 +127,22 @@ class Model:
         return np.concatenate([np.zeros(0), *poses, np.zeros(len(self.scene.armatures))])
 
 
-def build(scene: Scene, left_out: Collection[int] = (), shifts: Mapping[str, Array] | None = None) -> Model:
+def build(
+    scene: Scene,
+    left_out: Collection[int] = (),
+    shifts: Mapping[str, Array] | None = None,
+    divided: bool = False,
+) -> Model:
     """Build and assemble the system of a scene without limits.
 
     Args:
         scene: the scene.
-        left_out: numbers of the redundant constraint equations, in the order of `Model.rows` of the model
-            with all of them.
+        left_out: numbers of the redundant constraint equations, in the order of `Model.rows` of the divided
+            model with all of them.
         shifts: displacement (3,), m, world frame at the initial pose, of the point of a joint in its second
             body, by joint: faults of the model.
+        divided: True to divide all joints into joints of one equation each; False to divide only the joints
+            of which an equation is left out.
     """
     model = Model(scene)
     model.container = exu.SystemContainer()
@@ -151,7 +159,7 @@ def build(scene: Scene, left_out: Collection[int] = (), shifts: Mapping[str, Arr
     elements = coordinate_elements(scene)
     for number, joint in enumerate(scene.mechanism.joints):
         shift = (shifts or {}).get(joint.name, np.zeros(3))
-        equations += _add_joint(model, number, joint, shift, is_used)
+        equations += _add_joint(model, number, joint, shift, is_used, divided)
     for place, element in enumerate(elements):
         if is_native(scene, element):
             _add_element(model, place)
@@ -213,26 +221,27 @@ def _markers(model: Model, joint: Joint, axes: Array, shift: Array) -> list[Any]
 
 
 def _add_joint(
-    model: Model, number: int, joint: Joint, shift: Array, is_used: Callable[[], bool]
+    model: Model, number: int, joint: Joint, shift: Array, is_used: Callable[[], bool], divided: bool
 ) -> list[tuple[Any, int, int | None, float]]:
     """Add a joint, and return its equations: object, place in the object, number of the joint, unit."""
     mbs, size = model.mbs, model.scene.mechanism.size
+    model.objects.append([])
     if isinstance(joint, Rod):
-        model.objects.append([])
         if not is_used():
             return []
         markers = _markers(model, joint, np.eye(3), shift)
         item = mbs.AddObject(ObjectConnectorDistance(markerNumbers=markers, distance=joint.length))
         model.objects[-1].append(item)
         return [(item, 0, number, size)]
-    model.objects.append([])
     found: list[tuple[Any, int, int | None, float]] = []
-    for part in parts(joint):
-        markers = _markers(model, joint, part.axes, shift)
-        flags = [int(flag == 1 and is_used()) for flag in part.flags]
-        item = mbs.AddObject(ObjectJointGeneric(markerNumbers=markers, constrainedAxes=flags))
-        model.objects[-1].append(item)
-        found += [(item, k, number, size if k < 3 else 1.0) for k, flag in enumerate(flags) if flag]
+    for whole in parts(joint):
+        single = rows(whole)
+        used = [row for row in single if is_used()]
+        for part in used if divided or len(used) < len(single) else [whole]:
+            markers = _markers(model, joint, part.axes, shift)
+            item = mbs.AddObject(ObjectJointGeneric(markerNumbers=markers, constrainedAxes=part.flags))
+            model.objects[-1].append(item)
+            found += [(item, k, number, size if k < 3 else 1.0) for k, flag in enumerate(part.flags) if flag]
     return found
 
 

@@ -2,18 +2,59 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import exudyn as exu
 import numpy as np
 
 from crosscheck.engines.exudyn.coordinates import NODAL
 from crosscheck.engines.exudyn.equations import ExudynSystem
+from newton_euler.equations.redundancy import constraint_rank, dependent_rows
 from newton_euler.model.euler_parameters import matrix_l
-from newton_euler.model.state import whole_revolutions
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State, whole_revolutions
 from newton_euler.scalars import Array
 
 
+def without_redundancy(scene: Scene, state: State | None = None) -> RunningSystem:
+    """Return the equations of a scene without redundant constraints, which Exudyn's solvers cannot have.
+
+    Args:
+        scene: the scene.
+        state: state at which the constraints in use are chosen; None for one of the configurations that the
+            mobility analysis has examined.
+    """
+    equations = RunningSystem(scene)
+    if len(equations.row_numbers) == constraint_rank(equations):
+        return equations
+    return RunningSystem(scene, dependent_rows(ExudynSystem(scene, divided=True), state))
+
+
 class RunningSystem(ExudynSystem):
-    """Equations of a scene whose system of Exudyn a solver runs."""
+    """Equations of a scene whose system of Exudyn a solver runs.
+
+    Attributes:
+        is_reduced: True if redundant constraint rows are left out.
+    """
+
+    def __init__(self, scene: Scene, left_out: Collection[int] = ()) -> None:
+        """Build the model without some constraint rows, see `crosscheck.engines.exudyn.model.build`."""
+        super().__init__(scene, left_out)
+        self.is_reduced = bool(left_out)
+
+    def independence(self) -> float:
+        """Return the smallest singular value of the dimensionless constraint rows at the present state."""
+        nodal = self.reference + self.model.mbs.systemData.GetODE2Coordinates()
+        jacobian = self._constraint_matrix() @ self.nodal_rates(nodal)
+        dimensionless = jacobian * self.velocity_units / self.phi_units[:, None]
+        return float(np.linalg.svd(dimensionless, compute_uv=False)[-1])
+
+    def owner(self, row: int) -> str:
+        """Return the name of the joint whose equation is a row of Exudyn's system matrix; "" for none."""
+        for each in self.model.rows:
+            if each.joint is not None and self.solver.GetODE2size() + each.equation == row:
+                return self.mechanism.joint_names[each.joint]
+        return ""
 
     def start(self, q: Array, v: Array, acceleration: Array, multipliers: Array) -> None:
         """Make a state the initial one of Exudyn's solvers, and the present one.

@@ -9,19 +9,23 @@ import pytest
 from elements import COUPLED, ELEMENTS
 from engine_equations import checks_of, failures
 from mechanisms import GRAVITY, bar, pendulum, spinning_top
+from overconstrained import centers, linkage
 
 pytest.importorskip("exudyn")
 
 from crosscheck.engines.exudyn import ENGINE
 from crosscheck.engines.exudyn.equations import ExudynSystem
+from crosscheck.engines.exudyn.running import without_redundancy
 from crosscheck.engines.exudyn.simulate import simulate
 from crosscheck.engines.limits import CannotExpressError
 from crosscheck.engines.registry import choose
 from crosscheck.library import SCENES, load
 from crosscheck.studies.conformance_tests import EngineConformance
 from crosscheck.studies.random_scenes import random_scene
+from crosscheck.studies.stress.noise import MECHANISMS, NOISE_SENSITIVITY
 from newton_euler import simulate as reference
-from newton_euler.equations.redundancy import dependent_rows
+from newton_euler.equations.redundancy import constraint_rank, rows_left_out
+from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.errors import OptionError, UnknownNameError
 from newton_euler.model.armatures import Armature, BallArmature
 from newton_euler.model.compound_joint import Compound
@@ -34,6 +38,8 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Sine
 from newton_euler.model.splines import Steps
 from newton_euler.model.trajectory import IntegrationError, distance
+from newton_euler.reading.excitation import random_states
+from newton_euler.runs.assemble import initial_state
 
 FAST_SCENES = (
     *("bricard", "four_bar", "heavy_top", "stewart"),
@@ -150,13 +156,74 @@ def test_runs_are_of_order_two(integrator):
     assert np.log2(errors[1] / errors[2]) == pytest.approx(2.0, abs=0.1)
 
 
-@pytest.mark.parametrize(("name", "redundant"), [("four_bar", 2), ("bricard", 1)])
-def test_redundant_constraints_are_left_out(name, redundant):
-    scene = replace(load(name), duration=0.5)
-    assert len(dependent_rows(ExudynSystem(scene))) == redundant
-    error, run, _ = apart(scene)
-    assert error < 1e-4
-    assert np.max(run.constraint_violation) < 1e-9
+OVERCONSTRAINED = {
+    **{name: build(0.0) for name, build in MECHANISMS.items()},
+    **{name: linkage(name) for name in ("bennett", "goldberg", "myard", "schatz")},
+    "four_bar": load("four_bar"),
+}
+"""Loops with redundant constraints, exact in their dimensions."""
+
+
+def constraint_rows(system, state) -> np.ndarray:
+    """Dimensionless constraint rows of a system at a state."""
+    return dimensionless_jacobian(system, system.coordinates(state)[0])
+
+
+@pytest.mark.parametrize("name", OVERCONSTRAINED)
+def test_rows_in_use_are_independent_and_imply_all(name):
+    """At the start and at moved states, for which models are made as a run makes them."""
+    scene = OVERCONSTRAINED[name]
+    whole = ExudynSystem(scene)
+    for state in (initial_state(scene), *random_states(scene, 2)):
+        rows = constraint_rows(without_redundancy(scene, state), state)
+        assert len(rows) == constraint_rank(whole) < len(whole.row_numbers)
+        assert np.linalg.svd(rows, compute_uv=False)[-1] > 0.01
+        # the part of all rows that those in use do not span
+        every = constraint_rows(whole, state)
+        span = np.linalg.svd(rows, full_matrices=False)[2]
+        assert np.max(np.abs(every - every @ span.T @ span)) < 1e-9
+
+
+@pytest.mark.parametrize("name", ["planar", "point on line", "screw", "slide of two points, fixed post"])
+def test_joints_of_one_equation_allow_the_motions_of_the_whole_joint(name):
+    scene = (ELEMENTS | COUPLED)[name]
+    whole, divided = ExudynSystem(scene), ExudynSystem(scene, divided=True)
+    assert len(whole.row_numbers) == len(divided.row_numbers)
+    for state in random_states(scene, 2):
+        rows = constraint_rows(divided, state)
+        both = np.vstack([constraint_rows(whole, state), rows])
+        assert np.linalg.matrix_rank(both, 1e-9) == np.linalg.matrix_rank(rows, 1e-9) == len(rows)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-6])
+@pytest.mark.parametrize(("name", "error"), [("flat_four_bar", 1e-5), ("sarrus", 1e-5), ("bricard", 1e-6)])
+@pytest.mark.filterwarnings("ignore::newton_euler.errors.NearlyRedundantWarning")
+def test_runs_of_overconstrained_loops(name, error, noise):
+    run = simulate(MECHANISMS[name](noise))
+    design = reference(MECHANISMS[name](0.0), rtol=1e-11, atol=1e-13)
+    assert distance(run, design) < error + NOISE_SENSITIVITY * noise
+    assert np.max(run.constraint_violation) < 1e-9 + 10.0 * noise
+
+
+@pytest.mark.parametrize(
+    ("name", "duration"), [("goldberg", 0.6), pytest.param("bennett", 1.2, marks=pytest.mark.slow)]
+)
+def test_large_motions_exchange_the_rows_in_use(name, duration):
+    """Loops that stop with the rows of the start, against centers of mass from exponentials of screws."""
+    scene = replace(linkage(name), duration=duration)
+    exact = centers(name)[: len(scene.times)]
+    coarse, fine = (
+        np.max(np.abs(simulate(scene, step=step).position[:, 1:] - exact)) for step in (1e-3, 5e-4)
+    )
+    assert fine < 1e-4
+    assert coarse / fine == pytest.approx(4.0, abs=0.5)
+
+
+def test_a_model_without_redundant_rows_leaves_out_no_more():
+    scene = MECHANISMS["flat_four_bar"](1e-6)
+    whole = ExudynSystem(scene)
+    assert len(rows_left_out(whole)) == len(whole.row_numbers) - constraint_rank(whole)
+    assert rows_left_out(without_redundancy(scene)) == []
 
 
 def test_reactions_are_the_multipliers_of_the_run():

@@ -1,0 +1,316 @@
+"""A run of Exudyn's solver: steps from stop to stop, outputs, the work of forces, and why a run stops.
+
+Exudyn's solvers need independent constraint equations. Rows that are independent at the start may become
+dependent on the way, as in a Bennett linkage that turns. If the rows in use lose independence, and other rows
+have more of it, the run resumes with a model of these rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple, get_args
+
+import exudyn as exu
+import numpy as np
+
+from crosscheck.engines.exudyn.running import RunningSystem, without_redundancy
+from newton_euler.equations.applied_forces import surroundings, with_likely_causes
+from newton_euler.equations.parameters import pieces, with_values
+from newton_euler.errors import SingularityError, quoted
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import IntegrationError, StoppedError
+from newton_euler.runs.assemble import initial_state
+from newton_euler.runs.controllers import Controllers
+from newton_euler.runs.intervals import Interval
+from newton_euler.scalars import Array
+
+IntegratorName = Literal["generalized_alpha", "trapezoidal"]
+"""Names of the integrators: generalized-alpha with constraints of positions (index 3), and the implicit
+trapezoidal rule with constraints of velocities (index 2)."""
+
+INTEGRATORS: tuple[IntegratorName, ...] = get_args(IntegratorName)
+
+SPECTRAL_RADIUS = 0.7
+"""Spectral radius of generalized-alpha at infinite frequency, below 1 for constraints of positions.
+
+Multipliers oscillate after a jump of forces, by a factor of this size per step. With 0.7 the oscillation has
+decayed after some ten steps; errors of the motion are a fifth larger than with 0.9."""
+
+WEAK_ROWS = 0.2
+"""Fraction of the largest independence of the constraint rows in use below which other rows are considered.
+See `RunningSystem.independence`."""
+
+STEPS_BETWEEN_CHECKS = 10
+"""Largest number of steps between two computations of the independence of the rows in use."""
+
+MIN_GAIN = 2.0
+"""Smallest factor by which other constraint rows must be more independent to replace those in use."""
+
+
+class Output(NamedTuple):
+    """State at an output time.
+
+    Attributes:
+        equations: equations with the constraint rows of the multipliers.
+        scene: scene with the forces of sampled controllers and the set-points from this time on.
+        time: s.
+        q: (nq,) coordinates.
+        v: (nv,) velocities.
+        acceleration: (nv,) dv/dt.
+        multipliers: (k,) multipliers of M dv/dt = f + J^T multipliers.
+    """
+
+    equations: RunningSystem
+    scene: Scene
+    time: float
+    q: Array
+    v: Array
+    acceleration: Array
+    multipliers: Array
+
+
+class Part(NamedTuple):
+    """Steps of one size from one stop of an interval to another.
+
+    Attributes:
+        times: (n,) s, the stops: begin, output times inside, and end.
+        is_output: (n - 1,) for each stop but the first, whether it is an output.
+        steps: number of steps between two stops.
+    """
+
+    times: Array
+    is_output: Sequence[bool]
+    steps: int
+
+    @property
+    def step(self) -> float:
+        """Step, s."""
+        return float(self.times[1] - self.times[0]) / self.steps
+
+    def with_stops(self, most: int) -> Part:
+        """Return the part with further stops, at most `most` steps from one to the next."""
+        between = next(n for n in range(1, self.steps + 1) if self.steps % n == 0 and self.steps <= n * most)
+        if between == 1:
+            return self
+        fractions = np.arange(between) / between
+        times = (self.times[:-1, None] + np.diff(self.times)[:, None] * fractions).ravel()
+        is_output = [k % between == 0 and self.is_output[k // between - 1] for k in range(1, len(times) + 1)]
+        return Part(np.append(times, self.times[-1]), is_output, self.steps // between)
+
+    def after(self, stops: int) -> Part:
+        """Return the rest of the part after a number of stops."""
+        return self._replace(times=self.times[stops:], is_output=self.is_output[stops:])
+
+
+class Run:
+    """A run of Exudyn: its present state, and the outputs so far.
+
+    Attributes:
+        outputs: the outputs.
+    """
+
+    def __init__(self, scene: Scene, integrator: IntegratorName) -> None:
+        """Place the model at the initial state of a scene."""
+        self._scene, self._integrator, self.outputs = scene, integrator, list[Output]()
+        state = initial_state(scene)
+        self._equations = without_redundancy(scene)
+        self._q, self._v = self._equations.coordinates(state)
+        self._time = 0.0
+        # the largest independence of the constraint rows since it was last compared with that of other rows
+        self._independence = self._equations.independence() if self._equations.is_reduced else np.inf
+
+    def run(self, plan: Sequence[tuple[Interval, Sequence[Part]]]) -> StoppedError | None:
+        """Run all intervals; returns the error that stopped the run, or None."""
+        held = dict[str, Any]()
+        controllers = Controllers(self._scene) if self._scene.sampled else None
+        try:
+            for interval, parts in plan:
+                self._equations.time = self._time = float(interval.times[0])
+                held |= pieces(self._scene, interval.middle, include_smooth=False)
+                if controllers and interval.due:
+                    readings = np.array(self._equations.measure(self._q, self._v), dtype=float)
+                    held |= controllers.sample(interval.due, self._time, readings)
+                if held:
+                    self._equations.scene = with_values(self._scene, held)
+                self._start(is_output=bool(interval.is_output[0]))
+                for part in parts:
+                    self._complete(part)
+        except StoppedError as error:
+            return error
+        return None
+
+    def _start(self, is_output: bool) -> None:
+        """Find accelerations and multipliers of the present state, and store an output there if it is one."""
+        try:
+            self._acceleration, self._multipliers = self._equations.solve(self._q, self._v)
+        except SingularityError as error:
+            remedy = "use a shorter step" if self._time else "start from another state"
+            raise self._stopped(f"{error}", remedy) from error
+        if is_output:
+            self.outputs.append(self._present(self._time))
+
+    def _complete(self, part: Part) -> None:
+        """Run a part, with other constraint rows as soon as those in use become dependent.
+
+        Raises:
+            IntegrationError: if Exudyn cannot continue.
+        """
+        if self._equations.is_reduced:
+            part = part.with_stops(STEPS_BETWEEN_CHECKS)
+        while len(part.times) > 1:
+            reached, is_weak = self._advance(part)
+            part = part.after(reached)
+            if is_weak:
+                self._choose_rows()
+
+    def _choose_rows(self) -> None:
+        """Take other constraint rows if these are more independent at the present state."""
+        now, scene = self._equations, self._equations.scene
+        others = without_redundancy(self._scene, now.state(self._q, self._v))
+        others.scene, others.time = scene, self._time
+        others.place(self._q, self._v)
+        now.place(self._q, self._v)
+        self._independence = now.independence()
+        if others.independence() > MIN_GAIN * self._independence:
+            self._equations, self._independence = others, others.independence()
+        self._start(is_output=False)
+
+    def _advance(self, part: Part) -> tuple[int, bool]:
+        """Run a part, or its beginning if the constraint rows become dependent.
+
+        Returns:
+            Number of stops that were reached, and whether the constraint rows become dependent.
+
+        Raises:
+            IntegrationError: if Exudyn cannot continue.
+        """
+        equations, begin, step = self._equations, float(part.times[0]), part.step
+        equations.time = begin
+        equations.start(self._q, self._v, self._acceleration, self._multipliers)
+        tracks_work, first = equations.scene.tracks_work, len(self.outputs)
+        powers = [(begin, equations.power(self._multipliers))] if tracks_work else []
+        reached, is_weak = 0, False
+
+        def record(_mbs: Any, now: float) -> bool:
+            """Follow angles and power after a step, store the state at a stop; False ends the part."""
+            nonlocal reached, is_weak
+            count = round((now - begin) / step)
+            if count == 0:  # Exudyn also calls before the first step
+                return True
+            equations.follow_angles()
+            equations.time = self._time = now
+            if tracks_work:
+                powers.append((now, equations.power(equations.read_multipliers())))
+            if count % part.steps:
+                return True
+            reached = count // part.steps
+            self._read()
+            if part.is_output[reached - 1]:
+                self.outputs.append(self._present(float(part.times[reached])))
+            is_weak = self._rows_are_weak()
+            return not is_weak
+
+        equations.model.mbs.SetPostStepUserFunction(record)
+        solver, settings = exu.MainSolverImplicitSecondOrder(), self._settings(part)
+        try:
+            solver.SolveSystem(equations.model.mbs, settings)
+        except Exception as error:  # of user functions, or Exudyn's own
+            text = str(error).strip().splitlines() or [type(error).__name__]
+            raise self._stopped(f"Exudyn: {text[0]}", "") from error
+        finally:
+            self._add_work(powers, first)
+        if reached < len(part.times) - 1 and not is_weak:
+            raise self._not_converged(solver, step)
+        return reached, is_weak
+
+    def _rows_are_weak(self) -> bool:
+        """Return whether the constraint rows in use have lost much of their independence."""
+        if not self._equations.is_reduced:
+            return False
+        now = self._equations.independence()
+        self._independence = max(now, self._independence)
+        return now < WEAK_ROWS * self._independence
+
+    def _read(self) -> None:
+        """Read the state that Exudyn's solver has reached."""
+        self._q, self._v, self._acceleration = self._equations.read_state(self._q)
+        self._multipliers = self._equations.read_multipliers()
+
+    def _present(self, now: float) -> Output:
+        """Return the present state as an output at a time, s."""
+        return Output(
+            self._equations,
+            self._equations.scene,
+            now,
+            self._q,
+            self._v,
+            self._acceleration,
+            self._multipliers,
+        )
+
+    def _add_work(self, powers: Sequence[tuple[float, float]], first: int) -> None:
+        """Add the work since the start of a part to the state and to the outputs from number `first` on.
+
+        A cubic spline through the powers has an integration error of order 4, which is small beside that of
+        the motion.
+
+        Args:
+            powers: times, s, and powers, W, at the start and after each step.
+            first: number of the first output after the start of the part.
+        """
+        if len(powers) < 2:
+            return
+        from scipy.interpolate import CubicSpline
+
+        times, values = np.array(powers).T
+        work = self._q[-1] + CubicSpline(times, values).antiderivative()(times)
+        for k in range(first, len(self.outputs)):
+            output = self.outputs[k]
+            at = int(np.argmin(np.abs(times - output.time)))
+            self.outputs[k] = output._replace(q=np.append(output.q[:-1], work[at]))
+        self._q = np.append(self._q[:-1], work[-1])
+
+    def _settings(self, part: Part) -> Any:
+        """Return Exudyn's settings of a part."""
+        settings, kinds = exu.SimulationSettings(), exu.DynamicSolverType
+        settings.solution.file.write = False
+        settings.linearSolver.solverType = exu.LinearSolverType.EigenSparse
+        integration = settings.timeIntegration
+        integration.startTime, integration.endTime = float(part.times[0]), float(part.times[-1])
+        integration.numberOfSteps = part.steps * (len(part.times) - 1)
+        integration.adaptiveStep = False
+        integration.verboseMode = 0
+        alpha, is_alpha = integration.generalizedAlpha, self._integrator == "generalized_alpha"
+        integration.solverType = kinds.GeneralizedAlpha if is_alpha else kinds.TrapezoidalIndex2
+        alpha.useNewmark = alpha.useIndex2Constraints = not is_alpha
+        alpha.spectralRadius = SPECTRAL_RADIUS
+        # initial accelerations are given: Exudyn's own leave out functions of time in constraints
+        alpha.computeInitialAccelerations = False
+        alpha.resetAccelerations = False
+        integration.newton.relativeTolerance = 1e-10
+        integration.newton.absoluteTolerance = 1e-12
+        # Python evaluates equations of coordinates, of which full Newton steps need fewer
+        integration.newton.useModifiedNewton = not self._equations.model.equations
+        return settings
+
+    def _not_converged(self, solver: Any, step: float) -> IntegrationError:
+        """Return the error of a run whose equations Exudyn's solver could not solve at a step, s."""
+        reported = solver.GetErrorString() or "the solver ended without a reason"
+        if not solver.conv.linearSolverFailed:
+            reason = f"Exudyn's Newton iteration did not converge at a step of {step:.3g} s ({reported})"
+            return self._stopped(reason, f"use a step shorter than {step:.3g} s")
+        joint = self._equations.owner(solver.conv.linearSolverCausingRow)
+        at_joint = f" at joint {quoted(joint)}" if joint else ""
+        reason = f"Exudyn's equations are singular{at_joint} at a step of {step:.3g} s ({reported})"
+        return self._stopped(
+            reason, "use a shorter step, or start from a state farther from the singular one"
+        )
+
+    def _stopped(self, reason: str, remedy: str) -> IntegrationError:
+        """Return the error of a run that stops at the present time."""
+        scene, equations = self._equations.scene, self._equations
+        equations.time = self._time
+        state = equations.state(self._q, self._v)
+        at = surroundings(scene, state, self._time)
+        causes = with_likely_causes(scene, state, reason, at)
+        return IntegrationError(self._time, f"{causes}; {remedy}" if remedy else causes)
