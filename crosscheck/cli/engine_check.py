@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from crosscheck.cli.shared import AGREE, DISAGREE, cli, folder_option, progress_shown, show, verbose_option
+from crosscheck.cli.shared import cli, folder_option, progress_shown, show, verbose_option
 from crosscheck.report.render import as_json
 
 
@@ -16,17 +16,23 @@ from crosscheck.report.render import as_json
 @folder_option("output/engine_check/ENGINE")
 @verbose_option
 def engine_check_command(engine: str, output: Path | None) -> int:
-    """Check the conventions of an engine: start, quaternions, reactions, outputs, energies and equations.
+    """Check the conventions of an engine: start, quaternions, reactions, joints, control, energies and stops.
 
     ENGINE is the name of an engine: a default one, or one that another package registers. Each point of the
-    contract is checked on a small scene. A point is REFUSED if the engine refuses its scene with a reason.
+    contract is checked on a small scene; --verbose prints what each point asks and what a failure means. A
+    point is REFUSED if the engine cannot express its scene, or lacks the optional part that the point is
+    about. Any other error of the engine fails the point.
 
-    The exit status is 0 if no point fails.
+    The exit status is 0 if the engine conforms, and 1 if a point fails. It is 3 if no point fails, but the
+    engine refuses a point that every engine can show: start, quaternion_order, outputs or settings.
     """
-    from crosscheck.engines.registry import choose
-    from crosscheck.studies.conformance import Result, check_engine, report
+    from crosscheck.engines.registry import ALL, choose, names
+    from crosscheck.studies.conformance.check import check_engine, exit_status, report
+    from crosscheck.support.errors import CrosscheckError
     from crosscheck.support.files import check_writable, write_files
 
+    if engine == ALL:
+        raise CrosscheckError(f"ENGINE is {ALL!r}; needed: one of {', '.join(names())}")
     (chosen,) = choose([engine])
     path = (output or Path("output/engine_check") / engine) / "engine_check.json"
     check_writable(path)
@@ -35,4 +41,4 @@ def engine_check_command(engine: str, output: Path | None) -> int:
     found = report(chosen, findings)
     write_files({path: as_json({"engine": engine, "points": [asdict(each) for each in findings]}, found)})
     show(found, f"wrote {path}")
-    return DISAGREE if any(each.result is Result.FAILS for each in findings) else AGREE
+    return exit_status(findings)

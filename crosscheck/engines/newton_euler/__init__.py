@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from crosscheck.engines.adaptive import native_refined, native_run
 from crosscheck.engines.benchmarks import Benchmarks
-from crosscheck.engines.engine import NO_SETTINGS, Engine, Settings
+from crosscheck.engines.engine import NO_SETTINGS, Engine, FixedSteps, Settings
 from crosscheck.engines.stress import StressSettings
 from crosscheck.support.colors import BLUE
 from newton_euler.equations.system import System
@@ -57,6 +57,7 @@ ENGINE = Engine(
     color=BLUE,
     line=("-", 2.6),
     exact={"rtol": EXACT_RTOL, "atol": EXACT_ATOL},
+    fixed_steps=FixedSteps("RK4", lambda step: {"integrator": "RK4", "step": step}, steps=40),
     benchmarks=_benchmarks,
     stress_settings=_stress_settings,
 )

@@ -2,23 +2,49 @@
 
 from __future__ import annotations
 
+import itertools
+import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from command_line import run
+from contract_table import table, table_of_page
 
+from crosscheck.engines.engine import NO_SETTINGS, Engine
 from crosscheck.engines.limits import CannotExpressError, Limit
 from crosscheck.engines.registry import ENGINES, SOLVER
-from crosscheck.studies.conformance import POINTS, Result, check_engine, check_point
+from crosscheck.studies.conformance import scenes
+from crosscheck.studies.conformance.candidate import Candidate
+from crosscheck.studies.conformance.check import (
+    POINTS,
+    REQUIRED,
+    Result,
+    check_engine,
+    check_point,
+    exit_status,
+    explained,
+)
+from crosscheck.studies.conformance.closed_forms import (
+    flight,
+    jump_response,
+    sampled_motion,
+    slide,
+    steady_turn,
+)
+from crosscheck.studies.conformance.differences import first_difference
 from crosscheck.studies.conformance_tests import EngineConformance
 from crosscheck.studies.faults import injection
 from newton_euler.errors import NewtonEulerError
-from newton_euler.model.euler_parameters import conjugate, product, rotation
+from newton_euler.model.control import PD
+from newton_euler.model.digital_control import Sampled
+from newton_euler.model.euler_parameters import conjugate, product, rotation, rotations
 from newton_euler.model.mechanism import Mechanism
-from newton_euler.model.trajectory import Trajectory
-from newton_euler.runs.assemble import initial_state
+from newton_euler.model.splines import Steps
+from newton_euler.model.trajectory import IntegrationError, StoppedError, Trajectory
 from newton_euler.runs.simulate import simulate
 
 
@@ -34,25 +60,72 @@ class TestNewtonEuler(EngineConformance):
     engine = SOLVER
 
 
-def changing(change: Callable[[Trajectory], Trajectory]):
-    """newton_euler with changed runs."""
+@pytest.mark.parametrize(
+    ("scene", "closed_form"),
+    [
+        (scenes.sliding, slide),
+        (scenes.backward_slide, slide),
+        (scenes.conical, steady_turn),
+        (scenes.floating, flight),
+        (scenes.jumping, jump_response),
+        (scenes.sampled, sampled_motion),
+    ],
+)
+def test_closed_forms_are_exact(scene, closed_form):
+    # DOP853 at a relative tolerance of 1e-12 per step, some tens of steps
+    assert first_difference(simulate(scene(), rtol=1e-12, atol=1e-14), closed_form(scene()), 1e-11) == ""
+
+
+def test_scenes_have_names_of_their_own():
+    names = [construct().name for construct in (*scenes.SCENES, scenes.stopping)]
+    assert len(set(names)) == len(names)
+
+
+@cache
+def right(scene) -> Trajectory:
+    """Newton_euler's run of a scene, which the tests share: scenes are constants."""
+    return SOLVER.simulate(scene)
+
+
+def simulating(function: Callable, with_settings: Callable = SOLVER.simulate) -> Engine:
+    """Newton_euler with another function for runs without settings, and for those with settings."""
+
+    def simulated(scene, settings=NO_SETTINGS):
+        return with_settings(scene, settings) if settings else function(scene)
+
+    return replace(SOLVER, name="wrong", simulate=simulated)
+
+
+BASE = simulating(right)
+"""Newton_euler with runs that the tests share."""
+
+
+def changing(change: Callable[[Trajectory], Trajectory], *names: str) -> Engine:
+    """Newton_euler with changed runs of the scenes with some names, or of all scenes with all outputs."""
 
     def changed(scene):
-        found = SOLVER.simulate(scene)
-        return change(found) if found.reaction_force is not None else found
+        found = right(scene)
+        return change(found) if scene.name in names or (not names and scene.outputs) else found
 
-    return replace(SOLVER, name="wrong", simulate=changed)
-
-
-def at_rest(scene):
-    """A run that starts at rest."""
-    state = initial_state(scene)
-    still = {name: np.zeros_like(getattr(state, name)) for name in ("linear_velocity", "angular_velocity")}
-    return simulate(replace(scene, initial_state=replace(state, **still)))
+    return simulating(changed)
 
 
-def scalar_last(found):
-    return replace(found, quaternion=np.roll(found.quaternion, -1, axis=2))
+def replacing(name: str, change: Callable) -> Engine:
+    """Newton_euler with the run of another scene in place of a scene with a name."""
+    return simulating(lambda scene: right(change(scene) if scene.name == name else scene))
+
+
+def arrays(**changes: Callable[[np.ndarray], np.ndarray]) -> Callable[[Trajectory], Trajectory]:
+    """A change of arrays of a run by name."""
+    return lambda found: replace(
+        found, **{name: change(getattr(found, name)) for name, change in changes.items()}
+    )
+
+
+def at_first_row(values):
+    changed = values.copy()
+    changed[0] = 0.0
+    return changed
 
 
 def in_body_frame(found):
@@ -68,75 +141,25 @@ def about_center(found):
 
 def with_drives(found):
     torque = found.reaction_torque.copy()
-    if found.actuator_force.size:
-        torque[:, 0] += found.actuator_force
+    torque[:, 0] += found.actuator_force
     return replace(found, reaction_torque=torque)
 
 
-def with_parts(scene, joints, couplings):
-    return replace(scene, mechanism=Mechanism(scene.mechanism.bodies, joints, couplings))
+def about_first_point(found):
+    """Torques about the point of the ground, from which the point of the sliding body parts."""
+    way = np.zeros_like(found.reaction_torque)
+    way[:, 0] = found.position[:, 1] - found.position[0, 1]
+    return replace(found, reaction_torque=found.reaction_torque + np.cross(way, found.reaction_force))
 
 
-def open_loops(scene):
-    """A run without the joint that closes a loop."""
-    tree = scene.mechanism.joints[: len(scene.mechanism.bodies) - 1]
-    return simulate(with_parts(scene, tree, scene.mechanism.couplings))
+def in_body(name: str) -> Callable[[Trajectory], Trajectory]:
+    """A change of velocities from the world frame to the frames of the bodies."""
 
+    def turned(found):
+        velocity = np.einsum("nbji,nbj->nbi", rotations(found.quaternion), getattr(found, name))
+        return replace(found, **{name: velocity})
 
-WRONG = {
-    "start": replace(SOLVER, simulate=at_rest),
-    "quaternion_order": changing(
-        lambda found: replace(found, quaternion=np.roll(found.quaternion, -1, axis=2))
-    ),
-    "motion": replace(SOLVER, simulate=lambda scene: simulate(replace(scene, gravity=-scene.gravity))),
-    "outputs": changing(lambda found: replace(found, kinetic_energy=None)),
-    "reaction_sign": changing(
-        lambda found: replace(
-            found, reaction_force=-found.reaction_force, reaction_torque=-found.reaction_torque
-        )
-    ),
-    "reaction_frame": changing(in_body_frame),
-    "reaction_point": changing(about_center),
-    "drive_force": changing(with_drives),
-    "energy": changing(
-        lambda found: replace(found, potential_energy=found.potential_energy - found.potential_energy[0])
-    ),
-    "chain": replace(
-        SOLVER,
-        simulate=lambda scene: simulate(
-            injection.mass("lower", 0.05)(scene) if scene.name == "double" else scene
-        ),
-    ),
-    "loops": replace(SOLVER, simulate=open_loops),
-    "couplings": replace(
-        SOLVER, simulate=lambda scene: simulate(with_parts(scene, scene.mechanism.joints, ()))
-    ),
-    "refinement": replace(SOLVER, refined=lambda scene: simulate(scene, integrator="Euler", step=1e-3)),
-    "equations": replace(SOLVER, systems=lambda scene: SOLVER.systems(injection.mass("bar", 0.01)(scene))),
-    "limits": replace(SOLVER, limits=lambda scene: [Limit("body 'bar'", "bars are not expressed")]),
-    "settings": replace(SOLVER, simulate=lambda scene, settings=None: simulate(scene)),
-}
-"""A wrong engine by the point that finds it."""
-
-
-def test_there_is_a_wrong_engine_for_each_point():
-    assert WRONG.keys() == POINTS.keys()
-
-
-@pytest.mark.parametrize("point", WRONG)
-def test_a_wrong_engine_fails_at_its_point(point):
-    found = check_point(WRONG[point], point)
-    assert (found.result, bool(found.why)) == (Result.FAILS, True)
-
-
-ALONE = ("drive_force", "energy", "chain", "loops", "couplings", "equations")
-"""Points whose wrong engines are right in all others."""
-
-
-@pytest.mark.parametrize("point", ALONE)
-def test_a_wrong_engine_fails_at_no_other_point(point):
-    found = check_engine(WRONG[point], lambda _: None)
-    assert [each.point for each in found if each.result is not Result.HOLDS] == [point]
+    return turned
 
 
 def turned_in_the_world(found):
@@ -148,42 +171,299 @@ def turned_in_the_world(found):
     return replace(found, quaternion=turned)
 
 
-def test_a_rotation_in_the_wrong_frame_is_found():
-    found = check_point(changing(turned_in_the_world), "motion")
-    assert (found.result, "orientations differ" in found.why) == (Result.FAILS, True)
+def with_parts(scene, joints, couplings):
+    return replace(scene, mechanism=Mechanism(scene.mechanism.bodies, joints, couplings))
 
 
-def test_a_refusal_is_listed():
-    def refuse(scene, settings=None):
+def without_loops(scene):
+    tree = scene.mechanism.joints[: len(scene.mechanism.bodies) - 1]
+    return with_parts(scene, tree, scene.mechanism.couplings)
+
+
+def with_set_points(*steps):
+    """A change of the set-points of the jumping law."""
+
+    def changed(scene):
+        law = PD("slide", scenes.SLIDE_STIFFNESS, scenes.SLIDE_DAMPING, Steps(*steps))
+        return replace(scene, control=(law,))
+
+    return changed
+
+
+def a_period_late(scene):
+    """A change of a sampled controller: its force acts one period late."""
+    forces = [0.0]
+
+    def late(time, x, x_rate):
+        if time == 0.0:
+            forces[:] = [0.0]
+        forces.append(scenes.sampled_force(time, x[0], x_rate[0]))
+        return forces[-2]
+
+    return replace(scene, control=(Sampled("slide", late, scenes.SAMPLING_PERIOD),))
+
+
+def stopping(change: Callable[[StoppedError], Exception]) -> Engine:
+    """Newton_euler with other errors of runs that stop."""
+
+    def simulated(scene):
+        try:
+            return right(scene)
+        except StoppedError as error:
+            raise change(error) from error
+
+    return simulating(simulated)
+
+
+def with_partial(partial: Callable[[Trajectory], Trajectory | None], time: float = scenes.FAILURE_TIME):
+    """A change of the partial run, and of the time, of an error of a run that stops."""
+
+    def changed(error):
+        other = IntegrationError(time, error.reason)
+        other.partial = partial(error.partial)
+        return other
+
+    return stopping(changed)
+
+
+def going_on(scene):
+    """A run whose controller does not stop it."""
+    return right(replace(scene, control=scenes.sampled().control) if scene.name == "stopping" else scene)
+
+
+noise = itertools.count()
+
+
+def drifting(scene, settings):
+    """A run at fixed steps that changes from call to call by the last bits."""
+    found = SOLVER.simulate(scene, settings)
+    return replace(found, position=found.position * (1.0 + 1e-15 * next(noise)))
+
+
+def of_one_step(scene, settings):
+    """A run whose fixed step is not that of the settings."""
+    return SOLVER.simulate(scene, settings | {"step": 1e-4} if "step" in settings else settings)
+
+
+def ignoring(scene, settings):
+    """A run without the settings that do not exist."""
+    known = {name: settings[name] for name in settings if name != "no_such_setting"}
+    return SOLVER.simulate(scene, known) if known else right(scene)
+
+
+LIMIT = Limit("body 'bar'", "bars are not expressed")
+
+
+class Wrong(NamedTuple):
+    """A wrong engine.
+
+    Attributes:
+        point: the point that finds the engine.
+        engine: the engine.
+        others: further points that find the engine, because its mistake is in their runs, too.
+    """
+
+    point: str
+    engine: Engine
+    others: frozenset[str] = frozenset()
+
+
+WRONG = {
+    "starts at rest": Wrong("start", changing(arrays(linear_velocity=at_first_row), "swing")),
+    "quaternions of norm 2": Wrong(
+        "quaternion_order", changing(arrays(quaternion=lambda q: 2.0 * q), "swing")
+    ),
+    "scalar last": Wrong(
+        "quaternion_order",
+        changing(arrays(quaternion=lambda q: np.roll(q, -1, axis=2)), "swing"),
+        frozenset({"motion"}),
+    ),
+    "no violation": Wrong("outputs", changing(arrays(constraint_violation=lambda _: None))),
+    "names in another order": Wrong("outputs", changing(arrays(body_names=lambda names: names[::-1]))),
+    "outputs nobody asked for": Wrong(
+        "outputs",
+        simulating(lambda scene: right(scenes.swing() if scene.name == "bare_swing" else scene)),
+    ),
+    "heavier bar": Wrong("motion", changing(arrays(position=lambda x: x + 0.01 * (x - x[0])), "swing")),
+    "turns in the world": Wrong("motion", changing(turned_in_the_world, "swing")),
+    "acts on the moving body": Wrong(
+        "reaction_sign",
+        changing(arrays(reaction_force=np.negative, reaction_torque=np.negative), "backward_swing"),
+    ),
+    "torque on the first body": Wrong(
+        "reaction_sign", changing(arrays(reaction_torque=np.negative), "backward_swing")
+    ),
+    "force in the body frame": Wrong("reaction_frame", changing(in_body_frame, "swing")),
+    "torque about the center": Wrong("reaction_point", changing(about_center, "swing")),
+    "drive in the reaction": Wrong("drive_force", changing(with_drives, "driven_swing")),
+    "energy since the start": Wrong("energy", changing(arrays(potential_energy=lambda e: e - e[0]), "swing")),
+    "work on the drive": Wrong("work", changing(arrays(work=np.negative), "driven_swing")),
+    "torque about the ground": Wrong("slides", changing(about_first_point, "sliding")),
+    "spin in the body frame": Wrong("balls", changing(in_body("angular_velocity"), "conical")),
+    "velocity in the body frame": Wrong("free_bodies", changing(in_body("linear_velocity"), "floating")),
+    "torque of the exchanged bodies": Wrong(
+        "ground_second", changing(arrays(actuator_force=np.negative), "backward_drive")
+    ),
+    "heavier lower bar": Wrong("chain", replacing("double", injection.mass("lower", 0.05))),
+    "open loop": Wrong("loops", replacing("linkage", without_loops)),
+    "no gear": Wrong(
+        "couplings", replacing("geared", lambda scene: with_parts(scene, scene.mechanism.joints, ()))
+    ),
+    "no jump": Wrong("jumps", replacing("jumping", with_set_points((0.0,), scenes.SET_POINTS[:1]))),
+    "jump 1 ms late": Wrong(
+        "jumps",
+        replacing("jumping", with_set_points((0.0, scenes.JUMP_TIME + 1e-3), scenes.SET_POINTS)),
+    ),
+    "force a period late": Wrong("sampled_control", replacing("sampled", a_period_late)),
+    "default run as refined": Wrong("refinement", replace(BASE, refined=right)),
+    "coarse refined run": Wrong(
+        "refinement", replace(BASE, refined=lambda scene: simulate(scene, integrator="Euler", step=1e-4))
+    ),
+    "short refined run": Wrong(
+        "refinement", replace(BASE, refined=lambda scene: SOLVER.refined(scene).first(3))
+    ),
+    "refined run without reactions": Wrong(
+        "refinement",
+        replace(SOLVER, refined_in_full=lambda scene: replace(SOLVER.refined(scene), reaction_force=None)),
+    ),
+    "other last bits": Wrong("fixed_steps", simulating(right, drifting)),
+    "another step": Wrong("fixed_steps", simulating(right, of_one_step)),
+    "failure ignored": Wrong("stop", simulating(going_on)),
+    "another error": Wrong("stop", stopping(lambda _: NewtonEulerError("stopped"))),
+    "no partial run": Wrong("stop", with_partial(lambda _: None)),
+    "last output lost": Wrong("stop", with_partial(lambda partial: partial.first(2))),
+    "other partial run": Wrong("stop", with_partial(arrays(position=lambda x: 1.01 * x))),
+    "time of the end": Wrong("stop", with_partial(lambda partial: partial, time=scenes.stopping().duration)),
+    "heavier equations": Wrong(
+        "equations", replace(BASE, systems=lambda scene: SOLVER.systems(injection.mass("bar", 0.01)(scene)))
+    ),
+    "limits that do not hold": Wrong("limits", replace(BASE, limits=lambda scene: [LIMIT])),
+    "unknown settings ignored": Wrong("settings", simulating(right, ignoring)),
+}
+"""Wrong engines by their mistake."""
+
+
+def test_there_is_a_wrong_engine_for_each_point():
+    assert {each.point for each in WRONG.values()} == POINTS.keys()
+
+
+@pytest.mark.parametrize("mistake", WRONG)
+def test_a_wrong_engine_fails_at_its_point_and_no_other(mistake):
+    wrong = WRONG[mistake]
+    found = check_engine(wrong.engine, lambda _: None)
+    failed = {each.point: each for each in found if each.result is not Result.HOLDS}
+    assert failed.keys() == {wrong.point, *wrong.others}
+    assert {(each.result, bool(each.why)) for each in failed.values()} == {(Result.FAILS, True)}
+    assert exit_status(found) == 1
+
+
+def refusing(error: Exception, **parts) -> Engine:
+    """Newton_euler that raises an error instead of each run."""
+
+    def refuse(scene, settings=NO_SETTINGS):
         raise error
 
-    limit = Limit("joint 'hinge'", "hinges are not expressed")
-    for error in (NewtonEulerError("no hinges"), CannotExpressError("wrong", [limit])):
-        found = check_point(replace(SOLVER, simulate=refuse), "limits")
-        assert (found.result, str(error) in found.why) == (Result.FAILS, True)
-    listed = replace(SOLVER, simulate=refuse, limits=lambda scene: [limit])
-    assert check_point(listed, "limits").result is Result.HOLDS
+    return replace(SOLVER, name="wrong", simulate=refuse, refined=refuse, systems=refuse, **parts)
 
 
-def test_refusals_have_a_reason_and_errors_are_failures():
-    def raising(error):
-        def refuse(scene):
-            raise error
+REFUSAL = CannotExpressError("wrong", [LIMIT])
 
-        return check_point(replace(SOLVER, simulate=refuse), "motion")
 
-    found = raising(NewtonEulerError("no hinges"))
-    assert (found.result, found.why) == (Result.REFUSED, "no hinges")
-    found = raising(IndexError("list index out of range"))
-    assert (found.result, found.why) == (Result.FAILS, "internal error: IndexError: list index out of range")
+def test_an_engine_that_refuses_everything_has_shown_nothing(capsys, tmp_path, monkeypatch):
+    engine = refusing(REFUSAL, limits=lambda scene: [LIMIT])
+    found = check_engine(engine, lambda _: None)
+    assert [each.point for each in found if each.result is not Result.REFUSED] == ["limits"]
+    assert exit_status(found) == 3
+    monkeypatch.setitem(ENGINES, "mujoco", replace(engine, name="mujoco"))
+    status, out, _ = run(capsys, "engine-check", "mujoco", "--output", tmp_path)
+    assert (status, "NOT SHOWN" in out, "CONFORMS" in out) == (3, True, False)
+
+
+def test_required_points_take_any_scene_of_one_body():
+    def simulated(scene, settings=NO_SETTINGS):
+        if scene.mechanism.joints[0].kind != "free":
+            raise REFUSAL
+        return SOLVER.simulate(scene, settings)
+
+    found = check_engine(replace(SOLVER, simulate=simulated, limits=lambda _: ()), lambda _: None)
+    results = {each.point: each.result for each in found}
+    assert {results[point] for point in (*REQUIRED, "free_bodies")} == {Result.HOLDS}
+    assert results["motion"] is Result.REFUSED
+    assert results["limits"] is Result.FAILS  # lists nothing
+
+
+def test_points_about_optional_parts_are_refused_without_them():
+    candidate = Candidate(replace(BASE, systems=lambda scene: (), fixed_steps=None))
+    found = [check_point(candidate, point) for point in ("equations", "fixed_steps", "motion")]
+    assert [each.result for each in found] == [Result.REFUSED, Result.REFUSED, Result.HOLDS]
+
+
+@pytest.mark.parametrize(
+    "error", [NewtonEulerError("no hinges"), IndexError("list index out of range"), MemoryError()]
+)
+def test_any_other_error_than_a_refusal_is_a_failure_with_its_scene_and_place(error):
+    found = check_engine(refusing(error), lambda _: None)
+    assert {each.result for each in found} == {Result.FAILS}
+    by_point = {each.point: each for each in found}
+    assert by_point["loops"].scene == "linkage"
+    assert by_point["balls"].scene == "conical"
+    file, _, line = by_point["loops"].place.rpartition(":")
+    assert (file.endswith("tests/crosscheck/studies/test_conformance.py"), line.isdecimal()) == (True, True)
+    assert str(error) in by_point["loops"].why
+    assert "\n" not in str(by_point["loops"])
+
+
+def test_the_place_of_an_error_in_a_library_is_the_line_of_the_engine():
+    def failing(scene, settings=NO_SETTINGS):
+        return np.linalg.inv(np.zeros((2, 2)))  # raises inside of NumPy
+
+    found = check_point(Candidate(replace(SOLVER, simulate=failing)), "motion")
+    line = failing.__code__.co_firstlineno + 1
+    assert found.place.endswith(f"test_conformance.py:{line}")
+
+
+def nothing(scene, settings=NO_SETTINGS):
+    """No run."""
+
+
+def leaving(scene, settings=NO_SETTINGS):
+    raise SystemExit(0)
+
+
+@pytest.mark.parametrize("function", [nothing, leaving, lambda scene: right(scene), print])
+def test_results_of_another_class_are_failures(function):
+    found = check_engine(replace(SOLVER, simulate=function, refined=nothing), lambda _: None)
+    failed = {each.point: each for each in found if each.result is Result.FAILS}
+    assert {"settings", "refinement"} <= failed.keys()
+    assert exit_status(found) == 1
+
+
+def test_arrays_of_another_shape_are_failures():
+    for name in ("position", "quaternion", "reaction_force"):
+        engine = changing(arrays(**{name: lambda values: values[:, :, :2]}))
+        failed = {each.point for each in check_engine(engine, lambda _: None) if each.result is Result.FAILS}
+        assert "outputs" in failed
+
+
+def test_the_page_explains_every_point():
+    for point in POINTS:
+        assert all(text.endswith(".") for text in explained(point)), point
+    assert table_of_page() == table(), "python tests/support/contract_table.py writes the page"
 
 
 def test_the_command_prints_each_point(capsys, tmp_path, monkeypatch):
     status, out, _ = run(capsys, "engine-check", "newton_euler", "--output", tmp_path)
     assert status == 0
     assert all(point in out for point in POINTS)
-    monkeypatch.setitem(ENGINES, "newton_euler", WRONG["energy"])
-    status, out, _ = run(capsys, "engine-check", "newton_euler", "--output", tmp_path)
+    monkeypatch.setitem(ENGINES, "newton_euler", WRONG["energy since the start"].engine)
+    status, out, _ = run(capsys, "engine-check", "newton_euler", "--output", tmp_path, "-v")
     assert status == 1
-    assert "potential_energy differs by" in out
-    assert (tmp_path / "engine_check.json").exists()
+    words = " ".join(out.split())
+    assert "potential_energy differs by" in words
+    stored = json.loads((tmp_path / "engine_check.json").read_text())
+    assert [each["point"] for each in stored["points"] if each["result"] == "FAILS"] == ["energy"]
+
+
+def test_the_command_checks_one_engine(capsys):
+    status, _, errors = run(capsys, "engine-check", "all")
+    assert (status, "internal" in errors) == (2, False)
