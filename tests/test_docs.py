@@ -26,7 +26,10 @@ PAGES = sorted(str(page.relative_to(ROOT)) for page in (ROOT / "README.md", *ROO
 
 FENCE = re.compile(r'^```(\w*)(?: title="([^"]+)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)
 
-VERDICT = re.compile(r"^(AGREE|DISAGREE|SAME|DIFFERENT|QUIET|MOVED|INACCURATE)\b", re.MULTILINE)
+VERDICT = re.compile(
+    r"^(AGREE|DISAGREE|SAME|DIFFERENT|QUIET|MOVED|INACCURATE|CONFORMS: \w+: \d+ of \d+ points)\b",
+    re.MULTILINE,
+)
 
 STATUSES = {"DISAGREE": 1, "DIFFERENT": 1, "MOVED": 1, "INACCURATE": 5}
 """Exit status of verdicts, if not 0."""

@@ -379,6 +379,17 @@ def test_an_engine_that_refuses_everything_has_shown_nothing(capsys, tmp_path, m
     assert (status, "NOT SHOWN" in out, "CONFORMS" in out) == (3, True, False)
 
 
+def test_a_test_class_skips_refused_points_except_the_required_ones():
+    class OfRefusing(EngineConformance):
+        engine = refusing(REFUSAL, limits=lambda scene: [LIMIT])
+
+    for point in REQUIRED:
+        with pytest.raises(AssertionError, match="bars are not expressed"):
+            OfRefusing().test_point(point)
+    with pytest.raises(pytest.skip.Exception):
+        OfRefusing().test_point("motion")
+
+
 def test_required_points_take_any_scene_of_one_body():
     def simulated(scene, settings=NO_SETTINGS):
         if scene.mechanism.joints[0].kind != "free":
