@@ -1,4 +1,4 @@
-"""Hooks of the site, called by MkDocs: mathematics as MathML, code to copy, folded tables of results.
+"""Hooks of the site, called by MkDocs: commands, mathematics as MathML, code to copy, folded tables.
 
 Formulas are written in LaTeX between dollar signs. They become MathML when the site is built, which browsers
 render without scripts, fonts or a network. `latex2mathml` converts them.
@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import html
 import re
+from collections.abc import Iterator
+from inspect import cleandoc
 from typing import TYPE_CHECKING
 
 from latex2mathml.converter import convert
@@ -25,6 +27,42 @@ PROMPT = '<span class="gp">'
 TABLE = re.compile(r"<table>(.*?)</table>(\s*<p>Table: .*?</p>)?", re.DOTALL)
 MAX_OPEN_ROWS = 16
 """Rows of the longest table of results that is shown unfolded."""
+
+
+COMMANDS = "<!-- commands -->"
+"""Place in a page that takes the help of all commands."""
+
+HELP_WIDTH = 100
+"""Width of the options of commands, characters."""
+
+
+def on_page_markdown(markdown: str, **_: object) -> str:
+    """Insert the help of all commands."""
+    return markdown.replace(COMMANDS, "\n".join(commands())) if COMMANDS in markdown else markdown
+
+
+def commands() -> Iterator[str]:
+    """Yield the help of all commands by task, in lines of Markdown."""
+    from crosscheck.cli.help import TASKS, Command
+    from crosscheck.cli.shared import cli
+
+    context = cli.make_context(
+        "crosscheck", ["list"], max_content_width=HELP_WIDTH, terminal_width=HELP_WIDTH
+    )
+    for task, names in TASKS.items():
+        yield f"## {task}\n"
+        for name in names:
+            command = cli.commands[name]
+            assert isinstance(command, Command)
+            yield f"### crosscheck {name}\n\n{cleandoc(command.help or '')}\n"
+            with context.scope():
+                inner = command.context_class(command, info_name=name, parent=context)
+                formatter = inner.make_formatter()
+                command.format_usage(inner, formatter)
+                command.format_options(inner, formatter)
+            yield f"```text\n{formatter.getvalue()}```\n"
+            lines = [f"# {what}\n$ {line}\n" for what, line in command.examples.items()]
+            yield f"```console\n{''.join(lines)}```\n"
 
 
 def on_page_content(content: str, page: Page, **_: object) -> str:

@@ -59,6 +59,7 @@ with _interrupt_calls(_end):
     import click
 
     from crosscheck.cli import (
+        design,
         diff,
         drives,
         engine_check,
@@ -92,6 +93,7 @@ GC_THRESHOLD = 1_000_000
 time and saves 8 MB."""
 
 __all__ = [
+    "design",
     "diff",
     "drives",
     "engine_check",

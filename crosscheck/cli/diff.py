@@ -22,28 +22,38 @@ from crosscheck.report.render import as_json, markdown
 from crosscheck.support.errors import CrosscheckError
 
 
-@cli.command("diff")
+@cli.command(
+    "diff",
+    arguments={
+        "FIRST": "MJCF, URDF or scene file, or library scene.",
+        "SECOND": "The other file, as FIRST.",
+    },
+    examples={
+        "compare two versions of a file": "crosscheck diff robot.xml robot_v2.xml",
+        "compare the MJCF and the URDF of one robot": "crosscheck diff examples/arm.xml examples/arm.urdf",
+    },
+)
 @click.argument("first")
 @click.argument("second")
 @click.option(
     "--set-first",
     multiple=True,
     metavar="OPTION=VALUE",
-    help="Option of FIRST, such as loops=FILE, root=DIR.",
+    help="Option of FIRST, such as loops=FILE or root=DIR. Repeatable.",
 )
-@click.option("--set-second", multiple=True, metavar="OPTION=VALUE", help="Option of SECOND.")
+@click.option("--set-second", multiple=True, metavar="OPTION=VALUE", help="Option of SECOND. Repeatable.")
 @click.option(
     "--names",
     type=click.Path(path_type=Path),
-    help="YAML file with names in FIRST and in SECOND, if they differ.",
+    help="YAML file with the names of SECOND by those of FIRST, for names that differ.",
 )
 @click.option(
     "--tolerance",
     type=fraction,
     metavar="NUMBER",
-    help="Relative difference that counts as rounding.  [default: the digits of the files]",
+    help="Largest relative difference that is rounding.  [default: from the digits of the files]",
 )
-@click.option("--geometry", is_flag=True, help="Compare shapes too: collision and visual ones.")
+@click.option("--geometry", is_flag=True, help="Compare collision and visual shapes, too.")
 @folder_option("output/diff/FIRST_SECOND")
 @verbose_option
 def diff_command(
@@ -56,14 +66,14 @@ def diff_command(
     geometry: bool,
     output: Path | None,
 ) -> int:
-    """Compare two model files of one robot: what differs, and does it matter.
+    """Compare two model files of one robot.
 
-    FIRST and SECOND are MJCF, URDF or scene files, or names of scenes. Bodies and joints are paired by names
-    and by structure. Each difference has one row with its effect on the motion. Differences within the
-    digits of the files are rounding. In GitHub Actions, differences are annotations at lines of the files.
+    Bodies and joints are paired by name and by structure. Each difference has one row with its effect on the
+    motion. Differences within the digits of the files are rounding. In GitHub Actions, differences become
+    annotations at the lines of the files.
 
-    The exit status is 0 if the robots are the same, also to rounding, 1 if they differ, and 3 if the numbers
-    are the same but the motions could not be compared.
+    The exit status is 0 if the robots are the same up to rounding, 1 if they differ, and 3 if the numbers are
+    the same but the motions could not be compared.
     """
     options = scene_options(set_first, "--set-first"), scene_options(set_second, "--set-second")
     from crosscheck.differences.alignment import NamesError

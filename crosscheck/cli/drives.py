@@ -6,10 +6,12 @@ from pathlib import Path
 
 import click
 
+from crosscheck.cli.help import SCENE
 from crosscheck.cli.shared import (
     AGREE,
     INACCURATE,
     REDUCED,
+    allow_reduced_option,
     cli,
     folder_option,
     fraction,
@@ -26,7 +28,13 @@ from crosscheck.cli.shared import (
 from crosscheck.support.errors import CrosscheckError
 
 
-@cli.command("drives")
+@cli.command(
+    "drives",
+    arguments={"SCENE": f"{SCENE} Or a CSV of forces and positions of actuators.  [default: tracker_wind]"},
+    examples={
+        "choose drives with a margin of 20 %": "crosscheck drives --catalog examples/drives.csv --margin 20%"
+    },
+)
 @click.argument("scene", default="tracker_wind")
 @setting_options
 @click.option(
@@ -34,21 +42,17 @@ from crosscheck.support.errors import CrosscheckError
     type=click.Path(path_type=Path),
     required=True,
     metavar="FILE",
-    help="Drives, a CSV with a row for each combination of motor, gearbox and screw.",
+    help="CSV file with a row for each combination of motor, gearbox and screw.",
 )
 @click.option(
     "--margin",
     type=fraction,
     default=0.0,
     metavar="FRACTION",
-    help="Least margin to each limit of a drive, such as 20%.  [default: 0]",
+    help="Smallest margin to each limit of a drive, such as 20%.  [default: 0]",
 )
 @click.option("--must-hold", is_flag=True, help="Reject drives that do not hold the load with the motor off.")
-@click.option(
-    "--allow-reduced",
-    is_flag=True,
-    help="Exit with 0 even if elements of the file act that are not simulated.",
-)
+@allow_reduced_option
 @folder_option("output/drives/SCENE")
 @verbose_option
 def drives_command(
@@ -60,10 +64,13 @@ def drives_command(
     allow_reduced: bool,
     output: Path | None,
 ) -> int:
-    """Size drives: compare the motors, gearboxes and screws of a catalog with the motion of each actuator.
+    """Choose motors, gearboxes and screws for the actuators.
 
-    SCENE is the name of a library scene or a model file (see run), or a CSV of the forces and positions of
-    actuators over time.
+    The size of a drive follows from the motion: each drive of the catalog is compared with the force, speed
+    and power that its actuator needs.
+
+    The exit status is 5 if no drive suits an actuator, and 4 if elements of the file act that are not
+    simulated.
     """
     from crosscheck.design.drive_catalog import read_catalog
     from crosscheck.design.drive_report import Requirements

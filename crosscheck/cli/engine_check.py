@@ -7,24 +7,28 @@ from pathlib import Path
 
 import click
 
-from crosscheck.cli.shared import cli, folder_option, progress_shown, show, verbose_option
+from crosscheck.cli.shared import REFERENCE_ENGINE, cli, folder_option, progress_shown, show, verbose_option
 from crosscheck.report.render import as_json
 
 
-@cli.command("engine-check")
+@cli.command(
+    "engine-check",
+    arguments={"ENGINE": "Name of an engine of `crosscheck list`."},
+    examples={"check a default engine": f"crosscheck engine-check {REFERENCE_ENGINE}"},
+)
 @click.argument("engine")
 @folder_option("output/engine_check/ENGINE")
 @verbose_option
 def engine_check_command(engine: str, output: Path | None) -> int:
-    """Check the conventions of an engine: start, quaternions, reactions, joints, control, energies and stops.
+    """Check whether an engine follows the conventions of crosscheck.
 
-    ENGINE is the name of an engine: a default one, or one that another package registers. Each point of the
-    contract is checked on a small scene; --verbose prints what each point asks and what a failure means. A
-    point is REFUSED if the engine cannot express its scene, or lacks the optional part that the point is
-    about. Any other error of the engine fails the point.
+    Each convention (start, quaternions, reactions, joints, control, energies, stops) is checked on a small
+    scene. --verbose prints what each check asks and what a failure means. A check is REFUSED if the engine
+    cannot represent its scene, or lacks the optional part that the check is about. Any other error of the
+    engine fails the check.
 
-    The exit status is 0 if the engine conforms, and 1 if a point fails. It is 3 if no point fails, but the
-    engine refuses a point that every engine can show: start, quaternion_order, outputs or settings.
+    The exit status is 0 if no check fails, else 1. It is 3 if no check fails, but the engine refuses a check
+    that every engine can pass: start, quaternion_order, outputs or settings.
     """
     from crosscheck.engines.registry import ALL, choose, names
     from crosscheck.studies.conformance.check import check_engine, exit_status, report

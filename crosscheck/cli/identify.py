@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from crosscheck.cli.help import SCENE
 from crosscheck.cli.shared import (
     AGREE,
     UNFINISHED,
@@ -23,7 +24,14 @@ from crosscheck.cli.shared import (
 from crosscheck.report.render import as_json
 
 
-@cli.command("identify")
+@cli.command(
+    "identify",
+    arguments={
+        "SCENE": SCENE,
+        "CSV...": "Measured runs: time, and joint coordinates, rates, poses or forces, in SI units.",
+    },
+    examples={"fit the mass of a body": "crosscheck identify robot.xml run_1.csv --fit coupler.mass"},
+)
 @click.argument("scene")
 @click.argument(
     "measured", metavar="CSV...", nargs=-1, required=True, type=click.Path(path_type=Path, dir_okay=False)
@@ -49,10 +57,13 @@ def identify_command(
     rtol: float,
     output: Path | None,
 ) -> int:
-    """System identification: fit parameters of SCENE to measured motion, one CSV file per run.
+    """System identification: fit parameters to measured motion.
 
-    SCENE is the name of a library scene or a model file (see run). The columns of a CSV
-    file are the time and joint coordinates, rates, poses or forces, in SI units.
+    The command reports each parameter with its uncertainty, and parameters that the motion does not
+    identify. `crosscheck list SCENE` prints the names of parameters.
+
+    The exit status is 3 if there is a reason not to trust the fit, such as a parameter that is not
+    identifiable.
     """
     from crosscheck.design.identification import data, report
     from crosscheck.support.files import write_files

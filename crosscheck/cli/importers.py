@@ -10,19 +10,23 @@ from crosscheck.cli.shared import cli, folder_option, next_step, progress_shown,
 from crosscheck.report.render import as_json
 
 
-@cli.command("importers")
+@cli.command(
+    "importers",
+    arguments={"FILE": "MJCF or URDF file."},
+    examples={"compare the importers of all installed engines": "crosscheck importers robot.xml"},
+)
 @click.argument("file")
 @folder_option("output/importers/FILE")
 @verbose_option
 def importers_command(file: str, output: Path | None) -> int:
-    """Compare what the importers of all engines and of crosscheck read in one file.
+    """Compare what the importer of each engine reads in one file.
 
-    FILE is an MJCF or URDF file. Each installed engine, such as MuJoCo and Pinocchio, reads it by its own
-    importer, in its own process. The robots are compared with the one that crosscheck reads, as in
-    `crosscheck diff`. What an importer leaves out by its documentation, such as actuators, is listed apart.
+    Each installed engine, such as MuJoCo and Pinocchio, reads the file with its own importer. Each result is
+    compared with the robot that crosscheck reads, as in `crosscheck diff`. Elements that an importer ignores
+    by its documentation, such as actuators, are listed separately.
 
-    The exit status is 0 if all importers read the same robot, also to rounding. It is 1 if one reads another
-    robot, refuses the file or crashes.
+    The exit status is 0 if all importers read the same robot up to rounding. It is 1 if an importer reads
+    another robot, refuses the file or crashes.
     """
     from crosscheck.differences.importers import compare_importers
     from crosscheck.report.importers import report

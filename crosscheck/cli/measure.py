@@ -1,4 +1,4 @@
-"""`crosscheck bench`, `controllers`, `loads`, `modes`, `workspace`, `stress`, `faults`, `figures`, `report`.
+"""`crosscheck bench`, `stress`, `faults`, `figures` and `report`: measurements of engines, and HTML pages.
 
 Each command parses its options, calls a function of another package, and prints the result. Excitation means
 start velocities and sines for actuators, added to a model file that is otherwise at rest; a command that does
@@ -15,11 +15,10 @@ from pathlib import Path
 
 import click
 
+from crosscheck.cli.help import SCENE
 from crosscheck.cli.shared import (
     AGREE,
     DISAGREE,
-    REDUCED,
-    UNFINISHED,
     cli,
     engines_option,
     folder_option,
@@ -39,10 +38,13 @@ from crosscheck.report.render import as_json, terminal
 from crosscheck.support.errors import CrosscheckError
 
 
-@cli.command("figures")
+@cli.command(
+    "figures",
+    examples={"draw the figures as PNG files in output/figures": "crosscheck figures"},
+)
 @folder_option("output/figures")
 def figures_command(output: Path) -> int:
-    """Reproduce Figures 5 to 9 of the paper with the three engines."""
+    """Reproduce Figures 5 to 9 of the paper on the solar tracker."""
     # the paper: S. Srang, S. Ath, M. Yamakita, doi:10.25046/aj050587, on a solar tracker
     from crosscheck.studies.paper_figures import draw
 
@@ -53,7 +55,11 @@ def figures_command(output: Path) -> int:
     return AGREE
 
 
-@cli.command("bench")
+@cli.command(
+    "bench",
+    arguments={"SCENE": f"{SCENE}  [default: tracker]"},
+    examples={"find settings with an error below 1e-6 m or rad": "crosscheck bench pendulum --error 1e-6"},
+)
 @click.argument("scene", default="tracker")
 @setting_options
 @click.option(
@@ -61,14 +67,14 @@ def figures_command(output: Path) -> int:
     type=float,
     default=1e-6,
     show_default=True,
-    help="Report the fastest settings of each engine below this error, m or rad.",
+    help="Report the fastest settings of each engine with an error below this one, m or rad.",
 )
-@click.option("--rhs", is_flag=True, help="Time one evaluation of the equations of motion instead of runs.")
+@click.option("--rhs", is_flag=True, help="Time a single evaluation of the equations of motion instead.")
 @click.option(
     "--batch",
     type=click.IntRange(2, 10_000_000),
     metavar="RUNS",
-    help="Measure the throughput of a batch of this many runs from random states instead.",
+    help="Measure the throughput of this many runs from random states instead.",
 )
 @click.option("--sensitivities", is_flag=True, help="Time parameter sensitivities instead.")
 @engines_option
@@ -86,7 +92,8 @@ def bench_command(
 ) -> int:
     """Benchmark engines: run time against error (work-precision).
 
-    SCENE is the name of a library scene or a model file (see run).
+    Each engine runs the scene with many settings. The error of a run is its largest deviation, m or rad, from
+    a reference run.
     """
     from crosscheck.engines.registry import ENGINES, SOLVER, choose
     from crosscheck.loading.load import with_excitation
@@ -109,208 +116,10 @@ def bench_command(
     return AGREE
 
 
-@cli.command("controllers")
-@click.argument("scene", default="tracker_computed_torque")
-@setting_options
-@engines_option
-@folder_option("output/controllers/SCENE")
-def controllers_command(
-    scene: str, settings: tuple[str, ...], engines: list[str] | None, output: Path | None
-) -> int:
-    """Compare controllers: tracking error, effort and energy in all engines.
-
-    SCENE is the name of a library scene or a model file (see run). A scene with the option `controller` is
-    simulated with each value of the option. The default scene takes 12 runs and some minutes, or seconds with
-    --engines newton_euler. The exit status is 3 if an engine cannot make one of the runs.
-    """
-    from crosscheck.design.controllers import CONTROLLERS_FILES, compared, write
-    from crosscheck.engines.registry import ENGINES
-
-    options = refuse_excitation(scene_options(settings), why="controllers are those of the scene")
-    paths = result_paths(
-        output,
-        "output/controllers",
-        kind="comparison of controllers",
-        names=CONTROLLERS_FILES,
-        sources=[scene],
-    )
-    with progress_shown() as progress:
-        rows, missing = compared(scene, options, engines or list(ENGINES), progress)
-        report = write(rows, missing, paths, scene, options)
-    more = f"more  {next_step('report', paths[0].parent)}"
-    show(report, "wrote " + ", ".join(map(str, paths)), more)
-    return UNFINISHED if missing else AGREE
-
-
-@cli.command("loads")
-@click.argument("scene", default="tracker_wind")
-@setting_options
-@click.option(
-    "--case",
-    "cases",
-    multiple=True,
-    metavar="NAME:OPTION=VALUE,...",
-    help="Load case and its options, which replace those of --set. Repeatable.  [default: the cases of the "
-    "scene, or one case]",
+@cli.command(
+    "stress",
+    examples={"run the short selection of cases": "crosscheck stress --ci"},
 )
-@click.option(
-    "--at-rest",
-    is_flag=True,
-    help="Compute static loads in the initial pose, at the largest wind speed of each run.",
-)
-@click.option(
-    "--allow-reduced",
-    is_flag=True,
-    help="Exit with 0 even if elements of the file act that are not simulated.",
-)
-@folder_option("output/loads/SCENE")
-def loads_command(
-    scene: str,
-    settings: tuple[str, ...],
-    cases: tuple[str, ...],
-    at_rest: bool,
-    allow_reduced: bool,
-    output: Path | None,
-) -> int:
-    """Compute joint reactions and actuator loads of load cases, and their maxima over all cases.
-
-    newton_euler computes the loads. `crosscheck run` compares the reactions of all engines.
-
-    SCENE is the name of a library scene or a model file (see run).
-    """
-    from crosscheck.design.load_cases import check_distinct, default_cases, parse_cases
-    from crosscheck.design.loads import LoadCase, loads
-    from crosscheck.loading.load import load_scene
-    from crosscheck.report.output import usual_folder
-
-    if cases or settings:
-        common, own_settings = scene_options(settings), parse_cases(cases, scene)
-        options = {name: common | scene_options(own, f"--case {name}:") for name, own in own_settings.items()}
-        check_distinct(scene, options)
-    else:
-        options = default_cases(scene)
-    models = {}
-    for name, chosen in options.items():
-        models[name] = LoadCase(chosen, *load_scene(scene, chosen))
-        if len(models) == 1:
-            warn_about_import(scene, models[name].import_report, models[name].scene)
-    folder = output or usual_folder(Path("output/loads"), scene, results="load table")
-    with progress_shown() as progress:
-        found, written, unsimulated = loads(scene, models, at_rest, folder, progress)
-    look = f"look  {next_step('view', written[-1])}"
-    show(found, "wrote " + ", ".join(map(str, written)), look, f"more  {next_step('report', folder)}")
-    return REDUCED if unsimulated and not allow_reduced else AGREE
-
-
-@cli.command("modes")
-@click.argument("scene", default="tracker")
-@setting_options
-@click.option("--at-start", is_flag=True, help="Linearize at the initial state instead of an equilibrium.")
-@click.option(
-    "--pose",
-    "given_pose",
-    multiple=True,
-    metavar="JOINT=VALUE",
-    help="Linearize in a pose that the control laws hold: a joint coordinate relative to the initial pose, m "
-    "or rad. Repeatable.  [default: the pose in which the run comes to rest]",
-)
-@click.option(
-    "--time",
-    type=float,
-    metavar="S",
-    help="Time at which set-points and other functions of time are held, s.  [default: the end of the run if "
-    "they are constant there, else 0]",
-)
-@click.option(
-    "--open-loop",
-    is_flag=True,
-    help="Keep the forces of controllers constant instead of linearizing the control laws.",
-)
-@folder_option("output/modes/SCENE")
-@verbose_option
-def modes_command(
-    scene: str,
-    settings: tuple[str, ...],
-    at_start: bool,
-    given_pose: tuple[str, ...],
-    time: float | None,
-    open_loop: bool,
-    output: Path | None,
-) -> int:
-    """Modal analysis: natural frequencies, damping ratios and mode shapes at an equilibrium.
-
-    SCENE is the name of a library scene or a model file (see run).
-    """
-    from crosscheck.design.modes import MODES_FILES, analyze, pose_of, write
-
-    given = {"--at-start": at_start, "--pose": bool(given_pose), "--time": time is not None}
-    if len(names := [name for name, is_given in given.items() if is_given]) > 1:
-        raise CrosscheckError(f"{' and '.join(names)} choose different poses; give one of them")
-    options = refuse_excitation(scene_options(settings), why="modes are those of the scene as it stands")
-    loaded = load_with_warnings(scene, options)
-    pose = pose_of(loaded, given_pose)
-    paths = result_paths(output, "output/modes", kind="modal analysis", names=MODES_FILES, sources=[scene])
-    with progress_shown() as progress:
-        progress("linearizing")
-        found = analyze(loaded, at_start=at_start, pose=pose, time=time, open_loop=open_loop)
-        progress("recording")
-        report = write(found, paths, scene, options)
-    more = f"more  -v; {next_step('report', paths[0].parent)}"
-    show(report, "wrote " + ", ".join(map(str, paths)), more)
-    return AGREE
-
-
-@cli.command("workspace")
-@click.argument("scene", default="tracker")
-@setting_options
-@click.option(
-    "--vary",
-    "ranges",
-    multiple=True,
-    required=True,
-    metavar="JOINT=LOW:HIGH[:POINTS]",
-    help="Range of a joint coordinate relative to the initial pose, m or rad. One per degree of freedom.",
-)
-@click.option("--axis", metavar="BODY=X,Y,Z", help="Map the direction of an axis, in the frame of its body.")
-@click.option(
-    "--point",
-    metavar="BODY=X,Y,Z",
-    help="Map the position of a point of a body, m, given in the world at the initial pose.",
-)
-@folder_option("output/workspace/SCENE")
-def workspace_command(
-    scene: str,
-    settings: tuple[str, ...],
-    ranges: tuple[str, ...],
-    axis: str | None,
-    point: str | None,
-    output: Path | None,
-) -> int:
-    """Map the workspace: reachable poses, singular poses and clearances between bodies.
-
-    SCENE is the name of a library scene or a model file (see run).
-    """
-    from crosscheck.design import workspace
-
-    options = refuse_excitation(scene_options(settings), why="a workspace is that of the scene as it stands")
-    loaded = load_with_warnings(scene, options)
-    grid = dict(workspace.range_of(loaded, each) for each in ranges)
-    pointing = None if axis is None else workspace.axis_of(axis)
-    tip = None if point is None else workspace.point_of(point)
-    paths = result_paths(
-        output, "output/workspace", kind="workspace", names=workspace.WORKSPACE_FILES, sources=[scene]
-    )
-    with progress_shown() as progress:
-        found = workspace.measure(loaded, grid, pointing, tip, progress)
-        progress("writing")
-        whole = workspace.report(found)
-        written = workspace.write(found, whole, paths[0].parent, scene, options)
-    files = ", ".join(str(path) for path in written)
-    show(whole, f"wrote {files}", f"more  {next_step('report', paths[0].parent)}")
-    return AGREE
-
-
-@cli.command("stress")
 @click.option(
     "--full/--ci",
     "full",
@@ -325,12 +134,13 @@ def workspace_command(
     "letters",
     default="",
     metavar="LETTERS",
-    help="Run these topics only, such as bh.  [default: all]",
+    help="Letters of the topics to run, such as bh.  [default: all]",
 )
 def stress_command(full: bool, engines: list[str] | None, output: Path, letters: str) -> int:
-    """Stress-test engines with extreme parameter values and report where each engine fails.
+    """Stress-test engines with extreme parameter values.
 
-    A case whose scene an engine cannot express is counted apart, neither as passed nor as failed.
+    The command reports the values from which each engine fails. Cases that an engine cannot represent are
+    counted separately.
     """
     from crosscheck.engines.engine import Engine
     from crosscheck.engines.registry import ENGINES, choose
@@ -355,11 +165,18 @@ def stress_command(full: bool, engines: list[str] | None, output: Path, letters:
     return AGREE
 
 
-@cli.command("faults")
+@cli.command(
+    "faults",
+    arguments={"SCENE": f"{SCENE}  [default: tracker]"},
+    examples={
+        "inject faults into the models of the engines": "crosscheck faults pendulum",
+        "inject faults into the import of a file": "crosscheck faults robot.xml --reading",
+    },
+)
 @click.argument("scene", default="tracker")
 @setting_options
 @engines_option
-@click.option("--reading", is_flag=True, help="Inject faults into the import of the model file SCENE.")
+@click.option("--reading", is_flag=True, help="Inject faults into the import of the file instead.")
 @folder_option("output/faults/SCENE")
 @verbose_option
 def faults_command(
@@ -369,9 +186,12 @@ def faults_command(
     reading: bool,
     output: Path | None,
 ) -> int:
-    """Fault injection: report which single faults crosscheck detects and locates correctly.
+    """Report which injected faults crosscheck detects and locates.
 
-    Each fault is in the model of one of the engines, or with --reading in the import of the model file SCENE.
+    Fault injection tests the comparison itself. Each fault is a single wrong number in the model of one
+    engine, or with --reading in the import of a file.
+
+    The exit status is 1 if too few faults are detected or located.
     """
     from crosscheck.engines.registry import ENGINES
     from crosscheck.loading.load import load_scene
@@ -406,14 +226,16 @@ def faults_command(
     return AGREE if detects_enough(search) else DISAGREE
 
 
-@cli.command("report")
+@cli.command(
+    "report",
+    arguments={"DIR": "Folder with results of one command, or a folder of such folders."},
+    examples={"write a page of all results in the folder output": "crosscheck report output"},
+)
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 def report_command(folder: Path) -> int:
-    """Write the results of other commands in DIR as one HTML page, DIR/report.html.
+    """Write the results of other commands as one HTML page.
 
-    DIR is the output folder of run, run --all, regress, faults, stress, bench, sweep, diff, loads, drives,
-    modes, controllers, tune, workspace, sun, year, identify or importers, or a folder of such folders, for
-    example `output`.
+    The page is DIR/report.html.
     """
     from crosscheck.report.page import write_report
     from crosscheck.sweeps.store import check_finished

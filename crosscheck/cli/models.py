@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from crosscheck.cli.help import SCENE
 from crosscheck.cli.shared import (
     AGREE,
     cli,
@@ -39,15 +40,22 @@ LINE_WIDTH = 80
 """Characters of a line of the list of parameters."""
 
 
-@cli.command("list")
+@cli.command(
+    "list",
+    arguments={"SCENE": SCENE},
+    examples={
+        "list scenes, their options, and engines": "crosscheck list",
+        "list the parameters of a file, for sweep and identify": "crosscheck list robot.xml",
+    },
+)
 @click.argument("scene", required=False)
 @setting_options
 @verbose_option
 def list_command(scene: str | None, settings: tuple[str, ...]) -> int:
-    """List scenes, engines and options, or the parameters of SCENE.
+    """List scenes, engines and options, or parameters of a model.
 
-    SCENE is the name of a library scene or a model file (see run). sweep varies its parameters and identify
-    fits them.
+    With SCENE, the command lists parameters and initial coordinates with units and values. `crosscheck sweep`
+    varies parameters by these names, and `crosscheck identify` fits them.
     """
     if scene is not None:
         for line in _parameter_lines(load_scene_or_tracker(scene, scene_options(settings))):
@@ -138,15 +146,25 @@ def _number_text(row: Array, largest: float) -> str:
     return text if row.size <= MAX_NUMBERS else f"{text} ... ({row.size} numbers)"
 
 
-@cli.command("convert")
+@cli.command(
+    "convert",
+    arguments={
+        "IN": SCENE,
+        "OUT": "File to write; its suffix (.xml, .urdf, .yaml, .json) selects the format.",
+    },
+    examples={
+        "convert an MJCF file to a URDF": "crosscheck convert robot.xml robot.urdf",
+        "write a library scene as a scene file": "crosscheck convert four_bar four_bar.yaml",
+    },
+)
 @click.argument("source", metavar="IN")
 @click.argument("target", metavar="OUT", type=click.Path(path_type=Path))
 @setting_options
 @verbose_option
 def convert_command(source: str, target: Path, settings: tuple[str, ...]) -> int:
-    """Convert a model to another format.
+    """Convert a model to MJCF, URDF or a scene file.
 
-    IN is a library scene, a scene file, an MJCF file or a URDF file. The suffix of OUT selects the format.
+    The command lists elements that OUT approximates or does not have.
     """
     from crosscheck.library.model_files import report_lines
     from crosscheck.loading.convert import check_target, files_written, scene_report, write_as

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 
 import click
 
+from crosscheck.cli.help import SCENE
 from crosscheck.cli.shared import (
     AGREE,
     DEFAULT_ENGINES,
+    allow_reduced_option,
     cli,
     engines_option,
     progress_shown,
@@ -30,19 +32,28 @@ if TYPE_CHECKING:
 _path = click.Path(path_type=Path)
 
 ENGINES_OF_BASELINES = (
-    f"Engines of new baselines, with --update.  [default: those of the baseline, or {DEFAULT_ENGINES}]"
+    f"Engines of new baselines, with --update.  [default: those of the old baseline, or {DEFAULT_ENGINES}]"
 )
 """Help of the option `--engines`."""
 
 
-@cli.command("regress")
+@cli.command(
+    "regress",
+    arguments={"[SCENE]...": f"{SCENE}  [default: all library scenes that can be loaded]"},
+    examples={
+        "store the baseline of a file next to it": 'crosscheck regress robot.xml --update "first baseline"',
+        "compare with the baseline, as in CI": "crosscheck regress robot.xml",
+    },
+)
 @click.argument("sources", nargs=-1, metavar="[SCENE]...")
 @setting_options
 @click.option(
-    "--baseline", type=_path, help="File of the baseline; needs one SCENE.  [default: next to the model file]"
+    "--baseline",
+    type=_path,
+    help="File of the baseline of one SCENE.  [default: next to the file]",
 )
 @click.option(
-    "--update", "reason", metavar="REASON", help="Write new baselines and store the reason in them."
+    "--update", "reason", metavar="REASON", help="Write new baselines, with the reason for the change."
 )
 @partial(engines_option, text=ENGINES_OF_BASELINES)
 @click.option(
@@ -52,11 +63,7 @@ ENGINES_OF_BASELINES = (
     show_default=True,
     help="Folder for reports (JSON, JUnit XML, Markdown) and recordings.",
 )
-@click.option(
-    "--allow-reduced",
-    is_flag=True,
-    help="Exit with 0 even if elements of a file act that are not simulated.",
-)
+@allow_reduced_option
 @verbose_option
 def regress_command(
     sources: tuple[str, ...],
@@ -69,10 +76,11 @@ def regress_command(
 ) -> int:
     """Regression test: compare results with stored baselines.
 
-    SCENEs are names of library scenes or model files (default: all library scenes whose optional packages are
-    installed). Exit status: 1 if a value moved by more than its tolerance, 3 if an engine of a baseline is
-    not installed, 4 if elements of a file act that are not simulated. A lower cost (operations, steps,
-    evaluations) is an improvement and never fails. `crosscheck report OUTPUT` writes a page of the results.
+    A lower cost (operations, steps, evaluations) is an improvement and never fails. `crosscheck report
+    OUTPUT` writes a page of the results.
+
+    The exit status is 0 if no value moved by more than its tolerance, else 1. It is 3 if an engine of a
+    baseline is not installed, and 4 if elements of a file act that are not simulated.
     """
     from crosscheck.regress.report import outcome, report, tables, verdict
     from crosscheck.regress.run import check_baselines, update_baselines

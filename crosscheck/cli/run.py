@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from crosscheck.cli.help import SCENE
 from crosscheck.cli.shared import (
     AGREE,
     DISAGREE,
+    allow_reduced_option,
     cli,
     engines_option,
     next_step,
@@ -37,47 +39,63 @@ OUTPUT = Path("output")
 """Default parent of the folders of results."""
 
 
-@cli.command("run")
+@cli.command(
+    "run",
+    arguments={"SCENE": f"{SCENE}  [default: tracker]"},
+    groups={
+        "Model": ["--set", "--all"],
+        "Engines": ["--engines", "--advice"],
+        "Conditions for the exit status": ["--max-error", "--allow-reduced"],
+        "Logs of another simulator": ["--log", "--log-set", "--log-map"],
+        "Results": ["--output", "--save"],
+        "Replaced by crosscheck diff": ["--against", "--against-set"],
+    },
+    examples={
+        "compare the engines on a model file": "crosscheck run robot.xml",
+        "fail if the run of the file has a larger error": "crosscheck run robot.xml --max-error position=5mm",
+        "compare all installed engines on a library scene": "crosscheck run pendulum --engines all",
+    },
+)
 @click.argument("scene", required=False)
-@click.option("--all", "library", is_flag=True, help="Run all library scenes and print one line per scene.")
+@click.option("--all", "library", is_flag=True, help="Run all library scenes, with one line for each.")
 @engines_option
 @setting_options
 @click.option(
     "--against",
     metavar="MODEL",
-    help="Compare the files SCENE and MODEL instead, as `crosscheck diff SCENE MODEL`, which replaces it.",
+    help="Compare the files SCENE and MODEL, as `crosscheck diff` does.",
 )
 @click.option(
     "--against-set",
     "against_settings",
     multiple=True,
     metavar="OPTION=VALUE",
-    help="Option of the model of --against. Repeatable.",
+    help="Option of the file MODEL. Repeatable.",
 )
 @click.option(
     "--output",
     type=click.Path(path_type=Path),
     default=None,
-    help="Folder for results.  [default: output/NAME, NAME being that of SCENE; output with --all]",
+    help="Folder for results.  [default: output/SCENE; output with --all]",
 )
 @click.option(
     "--advice",
     is_flag=True,
-    help="Print advice on redundant constraints: joints with which all reactions are determined.",
+    help="Name the joints that make the reactions of redundant constraints unique.",
 )
 @click.option(
     "--log",
     "logs",
     multiple=True,
     type=click.Path(path_type=Path, dir_okay=False),
-    help="CSV or Parquet file of another simulator's run to judge against the reference. Repeatable.",
+    help="CSV or Parquet file with the run of another simulator, to be judged. Repeatable.",
 )
 @click.option(
     "--log-set",
     "log_settings",
     multiple=True,
     metavar="OPTION=VALUE",
-    help="Statement on the logs: quaternion=xyzw, angle=deg, length=mm, time=ms, offset=S, position=center, "
+    help="Convention of the logs: quaternion=xyzw, angle=deg, length=mm, time=ms, offset=S, position=center, "
     "zero=start or inputs=scene. Repeatable.",
 )
 @click.option(
@@ -85,31 +103,34 @@ OUTPUT = Path("output")
     "log_columns",
     multiple=True,
     metavar="COLUMN=QUANTITY",
-    help="Quantity of a column of the logs, such as q1=coordinate.crank. Repeatable.",
+    help="Quantity in a column of the logs, such as q1=coordinate.crank. Repeatable.",
 )
-@click.option(
-    "--allow-reduced",
-    is_flag=True,
-    help="Exit with 0 if the engines agree but elements of the file that act are not simulated.",
-)
+@allow_reduced_option
 @click.option(
     "--max-error",
     "max_errors",
     multiple=True,
     metavar="[ERROR=]VALUE",
-    help="Exit with 5 if the run with the settings of the file has a larger error; beside --log, only if a "
-    "log has. The error is a part of the motion such as 1e-3 or 0.1%, or position=1mm, rotation=0.1deg, "
-    "opening=0.1mm, energy=1%. Repeatable.",
+    help="Exit with 5 if the run with the settings of the file, or with --log a log, has a larger error. The "
+    "error is relative to the motion (1e-3, 0.1%), or one of position=1mm, rotation=0.1deg, opening=0.1mm, "
+    "energy=1%. Repeatable.",
 )
 @verbose_option
 @click.option(
-    "--save", type=click.Path(path_type=Path), help="File of the Rerun recording.  [default: OUTPUT/NAME.rrd]"
+    "--save",
+    type=click.Path(path_type=Path),
+    help="File of the recording.  [default: OUTPUT/SCENE.rrd]",
 )
 def run_command(**options: Any) -> int:
-    """Simulate a model in all engines and compare the results.
+    """Simulate a model in all engines, and compare the results.
 
-    SCENE is the name of a library scene (default: tracker), a scene file (YAML, JSON), an MJCF file or a
-    URDF file. `crosscheck list` prints the scenes and their options.
+    About 100 checks compare masses, kinematics, accelerations and whole runs. A model file gets a small
+    excitation, because a model at rest tests little; `--set excitation=off` runs the file without it. The
+    lines `your settings` judge the run with the time step and the solver of the file. `crosscheck explain`
+    describes each check, verdict and cause.
+
+    The exit status is 0 if all checks pass, 1 if the engines differ, and 3 if the comparison is incomplete.
+    It is 4 if elements of the file act that are not simulated, and 5 if an error exceeds --max-error.
     """
     asked = _Options(**options)
     asked.check()

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Self
 
 import click
 
+from crosscheck.cli.help import Commands
 from crosscheck.compare.outcome import ExitStatus
 from crosscheck.report.render import printable, terminal, wrapped
 from crosscheck.support.errors import CrosscheckError
@@ -41,17 +42,6 @@ PROGRESS_DELAY_S = 10.0
 AGREE, DISAGREE, BAD_INPUT, UNFINISHED, REDUCED, INACCURATE = ExitStatus
 """Exit statuses. REDUCED: the engines agree on a model without some elements of the file that act.
 INACCURATE: the run with the settings of the file has a larger error than the user allows."""
-
-
-class Commands(click.Group):
-    """Group of commands whose help lists each command with its full first sentence; Click would cut it."""
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the commands with the first sentence of their help."""
-        names = self.list_commands(ctx)
-        rows = [(name, self.commands[name].get_short_help_str(limit=200)) for name in names]
-        with formatter.section("Commands"):
-            formatter.write_dl(rows)
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
@@ -94,7 +84,7 @@ def setting_options(command: Callable[..., int]) -> Callable[..., int]:
         multiple=True,
         metavar="OPTION=VALUE",
         callback=_apply_limits,
-        help="Option of the scene or model file, or a limit; crosscheck list prints all. Repeatable.",
+        help="Option of the scene or file, or limit of its computation; see `crosscheck list`. Repeatable.",
     )
     return option(command)
 
@@ -150,11 +140,20 @@ def folder_option(default: str) -> Callable[[Callable[..., int]], Callable[..., 
     )
 
 
+def allow_reduced_option(command: Callable[..., int]) -> Callable[..., int]:
+    """Add the option `--allow-reduced` to a command, whose argument `allow_reduced` gets its value."""
+    text = "Exit with 0, not 4, if elements of the file act that are not simulated, such as contacts."
+    return click.option("--allow-reduced", is_flag=True, help=text)(command)
+
+
 DEFAULT_ENGINES = "newton_euler,mujoco,pinocchio"
 """Engines that run by default; written here so that the help starts fast."""
 
+REFERENCE_ENGINE = DEFAULT_ENGINES.partition(",")[0]
+"""Engine whose runs are the reference for those of other engines."""
 
-ENGINES_HELP = f"Engines, separated by commas; `all` names every installed one.  [default: {DEFAULT_ENGINES}]"
+
+ENGINES_HELP = f"Engines, separated by commas, or `all` installed ones.  [default: {DEFAULT_ENGINES}]"
 """Help of the option `--engines`."""
 
 
@@ -204,7 +203,7 @@ def verbose_option(command: Callable[..., int]) -> Callable[..., int]:
     def keep(context: click.Context, _: click.Parameter, wanted: bool) -> None:
         context.meta[VERBOSE_KEY] = wanted
 
-    text = "Print everything: figures, notes, elements of model files, limits."
+    text = "Print everything: all checks, notes, elements of model files, limits."
     option = click.option("-v", "--verbose", is_flag=True, expose_value=False, callback=keep, help=text)
     return option(command)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from crosscheck.cli.help import SCENE
 from crosscheck.cli.shared import (
     AGREE,
     cli,
@@ -27,7 +28,20 @@ from crosscheck.cli.trackers import (
 from crosscheck.support.errors import CrosscheckError
 
 
-@cli.command("sun")
+@cli.command(
+    "sun",
+    arguments={"SCENE": f"{SCENE}  [default: tracker_sun]"},
+    groups={
+        "Place and time": ["--latitude", "--longitude", "--altitude", "--date", "--zone", "--period"],
+        "Tracker": ["--set", "--axis", "--base", "--speed", "--acceleration"],
+        "Tracking": ["--most-tilt", "--deadband", "--pitch", "--clearance", "--to-singular"],
+        "Wind": ["--wind", "--wind-from", "--wind-up", "--stow"],
+        "Results": ["--reach", "--output"],
+    },
+    examples={
+        "simulate a day in Phnom Penh": "crosscheck sun --latitude 11.6 --longitude 104.9 --date 2026-03-21"
+    },
+)
 @click.argument("scene", required=False)
 @setting_options
 @click.option(
@@ -50,7 +64,7 @@ from crosscheck.support.errors import CrosscheckError
 )
 @click.option("--period", type=float, default=60.0, show_default=True, help="Time between set-points, s.")
 @tracker_options
-@click.option("--stow", type=float, help="Wind speed from which the panel is stowed flat, m/s; needs --wind.")
+@click.option("--stow", type=float, help="Wind speed from which the panel lies flat, m/s; needs --wind.")
 @click.option(
     "--wind",
     metavar="SPEED|CSV",
@@ -60,13 +74,13 @@ from crosscheck.support.errors import CrosscheckError
     "--wind-from",
     type=click.FloatRange(0.0, 360.0),
     metavar="DEGREES",
-    help="Direction that the wind comes from, from north to the east; needs --wind.  [default: 0]",
+    help="Direction that the wind comes from, degrees clockwise from north; needs --wind.  [default: 0]",
 )
 @click.option(
     "--wind-up",
     type=click.FloatRange(-1.0, 1.0),
     metavar="FRACTION",
-    help="Upward speed of the wind by its speed, such as 0.25 or -0.25 of gusts on a flat panel; "
+    help="Upward speed of the wind divided by its speed, such as 0.25 or -0.25 for gusts on a flat panel; "
     "needs --wind.  [default: 0]",
 )
 @click.option(
@@ -89,7 +103,7 @@ from crosscheck.support.errors import CrosscheckError
     help="Largest acceleration of the set-points, m/s^2 or rad/s^2.",
 )
 @click.option(
-    "--reach", "with_reach", is_flag=True, help="Map the sun's directions over the year that can be faced."
+    "--reach", "with_reach", is_flag=True, help="Map which directions of the sun the tracker can face."
 )
 @folder_option("output/sun/SCENE")
 @verbose_option
@@ -111,11 +125,11 @@ def sun_command(
     output: Path | None,
     **numbers: float,
 ) -> int:
-    """Simulate a day of solar tracking: set-points, motion, pointing error and irradiance.
+    """Simulate days of solar tracking.
 
-    SCENE is the name of a library scene or a model file (see run) with PD controllers or position actuators,
-    with x to the east, y to the north and z up; without it, the tracker of the library. A mechanism that
-    cannot face the sun comes as near as it can. With several latitudes or dates, a table compares the days.
+    The command reports set-points, motion, pointing error and irradiance. With several latitudes or dates, a
+    table compares the days. The scene has PD controllers or position actuators, with x to the east, y to the
+    north and z up. A tracker that cannot face the sun comes as near as it can.
     """
     from crosscheck.library import SUN_TRACKER
     from crosscheck.solar.base import Base, base_of

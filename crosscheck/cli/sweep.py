@@ -9,9 +9,11 @@ from typing import Any
 
 import click
 
+from crosscheck.cli.help import SCENE
 from crosscheck.cli.shared import (
     AGREE,
     DEFAULT_ENGINES,
+    allow_reduced_option,
     cli,
     engines_option,
     folder_option,
@@ -26,7 +28,20 @@ from crosscheck.cli.shared import (
 )
 
 
-@cli.command("sweep")
+@cli.command(
+    "sweep",
+    arguments={"SCENE": SCENE},
+    groups={
+        "Study": ["--vary", "--runs", "--sampling", "--seed", "--keep"],
+        "Simulation": ["--set", "--rtol"],
+        "Cross-check": ["--check", "--engines", "--allow-reduced"],
+        "Execution and results": ["--cluster", "--output"],
+    },
+    examples={
+        "vary a mass, and store the largest reactions": "crosscheck sweep four_bar "
+        "--vary 'bar_0.mass=normal(1,0.02)' --runs 20 --keep peak:reaction_force",
+    },
+)
 @click.argument("scene")
 @setting_options
 @click.option(
@@ -38,13 +53,13 @@ from crosscheck.cli.shared import (
     help="Parameter and its distribution: normal(MEAN, DEVIATION), uniform(LOW, HIGH), "
     "truncated_normal(MEAN, DEVIATION, LOW, HIGH), values(A, B, ...) or grid(LOW, HIGH, COUNT). Repeatable.",
 )
-@click.option("--runs", type=int, default=None, help="Number of runs.  [default: all points of a grid]")
+@click.option("--runs", type=int, default=None, help="Number of runs.  [default: all points of the grid]")
 @click.option(
     "--keep",
     multiple=True,
     required=True,
     metavar="KIND:OUTPUT,...",
-    help="Results to store for each run, such as peak:reaction_force,final:panel_7.quaternion. Repeatable.",
+    help="Outputs to store for each run, such as peak:reaction_force,final:panel_7.quaternion. Repeatable.",
 )
 @click.option(
     "--sampling",
@@ -60,19 +75,16 @@ from crosscheck.cli.shared import (
 @click.option(
     "--check",
     type=click.IntRange(0, 100),
+    metavar="RUNS",
     default=None,
-    help="Number of runs to cross-check in the engines: half with extreme results, half at random.  "
+    help="Number of runs that all engines repeat: half with extreme outputs, half at random.  "
     "[default: 1 of 1,000, at least 2, at most 6]",
 )
-@click.option(
-    "--allow-reduced",
-    is_flag=True,
-    help="Exit with 0 if the engines agree but elements of the file that act are not simulated.",
-)
+@allow_reduced_option
 @click.option(
     "--cluster", metavar="ADDRESS", help="Address of a Dask scheduler, such as tcp://10.0.0.1:8786."
 )
-@partial(engines_option, text=f"Engines of the cross-checks.  [default: {DEFAULT_ENGINES}]")
+@partial(engines_option, text=f"Engines that repeat runs.  [default: {DEFAULT_ENGINES}]")
 @folder_option("output/sweep/SCENE")
 @verbose_option
 def sweep_command(
@@ -86,10 +98,14 @@ def sweep_command(
     output: Path | None,
     **options: Any,
 ) -> int:
-    """Run a Monte Carlo or design-of-experiments study and report distributions and sensitivities.
+    """Run a Monte Carlo study or a design of experiments.
 
-    SCENE is the name of a library scene or a model file (see run). To resume an interrupted sweep, repeat the
-    command.
+    The command reports the distribution of each output, and which parameters drive it (Sobol indices, rank
+    correlation). The other engines repeat some of the runs. `crosscheck list SCENE` prints the names of
+    parameters. To resume an interrupted sweep, repeat the command.
+
+    The exit status is 0 if the engines agree on the repeated runs and 1 if they differ. It is 3 if runs
+    stopped, and 4 if elements of the file act that are not simulated.
     """
     from crosscheck.engines.registry import ENGINES
     from crosscheck.loading.load import load_scene, with_excitation

@@ -37,13 +37,13 @@ def tracker_options(command: Callable[..., int]) -> Callable[..., int]:
             type=float,
             default=0.0,
             show_default=True,
-            help="Pointing error that makes the tracker move, degrees.",
+            help="Pointing error from which the tracker moves, degrees.",
         ),
         click.option(
             "--pitch",
             type=float,
             default=float("inf"),
-            help="Distance between rows in panel lengths, for backtracking.",
+            help="Distance between rows, panel lengths, for backtracking.  [default: a single row]",
         ),
         click.option(
             "--clearance",
@@ -57,7 +57,7 @@ def tracker_options(command: Callable[..., int]) -> Callable[..., int]:
             type=float,
             default=0.05,
             show_default=True,
-            help="Smallest distance from singular configurations, as in workspace.",
+            help="Smallest distance from singular configurations; see `crosscheck workspace`.",
         ),
     ]
     for option in reversed(options):  # the last one added stands first in the help

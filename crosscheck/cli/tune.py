@@ -27,7 +27,13 @@ from crosscheck.cli.shared import (
 from crosscheck.report.render import as_json
 
 
-@cli.command("tune")
+@cli.command(
+    "tune",
+    arguments={"FILE": "MJCF or URDF file."},
+    examples={
+        "find settings with an error of at most 1 % of the motion": "crosscheck tune robot.xml --error 1%"
+    },
+)
 @click.argument("file")
 @setting_options
 @click.option(
@@ -36,18 +42,18 @@ from crosscheck.report.render import as_json
     metavar="NUMBER",
     default=1e-3,
     show_default=True,
-    help="Error to reach, as a part of the motion, such as 1e-3 or 0.1%.",
+    help="Largest error, relative to the motion, such as 1e-3 or 0.1%.",
 )
 @folder_option("output/tune/FILE")
 @verbose_option
 def tune_command(file: str, settings: tuple[str, ...], error: float, output: Path | None) -> int:
-    """Find the cheapest time step, integrator and constraint softness for an error.
+    """Find the fastest settings of a model file for a given error.
 
-    FILE is an MJCF or a URDF file. For MJCF, settings are MuJoCo's timestep, integrator, solref, solimp and
-    solver. For URDF, they are time step, integrator and Baumgarte gains of a loop with Pinocchio.
+    For an MJCF file, the settings are MuJoCo's timestep, integrator, solref, solimp and solver. For a URDF
+    file, they are the time step, integrator and Baumgarte gains of a loop that calls Pinocchio.
 
-    The error is that of `crosscheck run`: the largest error of a position or an orientation, as a part of
-    the motion. The exit status is 5 if no settings reach the error.
+    The error is that of `crosscheck run`: the largest error of a position or an orientation, relative to the
+    motion. The exit status is 5 if no settings reach the error.
     """
     from crosscheck.compare.tuning import tune_model, with_engine
     from crosscheck.loading.load import load_scene, with_excitation

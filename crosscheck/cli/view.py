@@ -21,11 +21,15 @@ LOOPBACK = "127.0.0.1"
 """Network address at which the viewer listens: only programs of this machine reach it."""
 
 
-@cli.command("view")
+@cli.command(
+    "view",
+    arguments={"FILE...": "Rerun recordings (.rrd)."},
+    examples={"show the recording of crosscheck run robot.xml": "crosscheck view output/robot/robot.rrd"},
+)
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--web", is_flag=True, help="Show the recordings in a browser instead of a window.")
 def view_command(files: tuple[Path, ...], web: bool) -> int:
-    """Open recordings in one Rerun viewer.
+    """Open recordings in the Rerun viewer.
 
     The viewer lists the recordings and shows the selected one.
     """

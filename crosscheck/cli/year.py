@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from crosscheck.cli.help import SCENE
 from crosscheck.cli.shared import (
     AGREE,
     cli,
@@ -26,17 +27,35 @@ from crosscheck.cli.trackers import (
 from crosscheck.support.errors import CrosscheckError
 
 
-@cli.command("year")
+@cli.command(
+    "year",
+    arguments={"SCENE": f"{SCENE}  [default: tracker_sun]"},
+    groups={
+        "Weather and place": ["--weather", "--latitude", "--longitude", "--altitude", "--year", "--zone"],
+        "Tracker": ["--set", "--axis", "--base", "--stroke"],
+        "Tracking": [
+            "--most-tilt",
+            "--deadband",
+            "--pitch",
+            "--clearance",
+            "--to-singular",
+            "--stow",
+        ],
+        "Photovoltaic module": ["--area", "--efficiency", "--temperature-coefficient"],
+        "Results": ["--output"],
+    },
+    examples={"compute a year of clear sky": "crosscheck year --latitude 11.6 --longitude 104.9 --year 2026"},
+)
 @click.argument("scene", required=False)
 @setting_options
 @click.option(
     "--weather",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Weather: TMY3, EPW, or a file of NSRDB or PVGIS.",
+    help="Weather file: TMY3, EPW, NSRDB or PVGIS.",
 )
-@click.option("--latitude", type=float, help="Latitude, degrees north; with --weather to check its place.")
-@click.option("--longitude", type=float, help="Longitude, degrees east, as --latitude.")
+@click.option("--latitude", type=float, help="Latitude, degrees north; that of --weather is checked.")
+@click.option("--longitude", type=float, help="Longitude, degrees east; that of --weather is checked.")
 @click.option("--altitude", type=float, help="Altitude above sea level, m; not with --weather.")
 @click.option("--year", type=int, help="Year of the clear sky, or of a weather file with several.")
 @click.option(
@@ -66,7 +85,9 @@ from crosscheck.support.errors import CrosscheckError
 @click.option("--area", type=float, help="Area of a photovoltaic module, m^2; needs --efficiency.")
 @click.option("--efficiency", type=float, help="Efficiency of the module at 25 degrees Celsius, such as 0.2.")
 @click.option(
-    "--temperature-coefficient", type=float, help="Change of the module's power, 1/K, such as -0.0035."
+    "--temperature-coefficient",
+    type=float,
+    help="Relative change of the power, 1/K, such as -0.0035.",
 )
 @folder_option("output/year/SCENE")
 @verbose_option
@@ -89,10 +110,10 @@ def year_command(
     output: Path | None,
     **numbers: float,
 ) -> int:
-    """Compute a year of solar tracking: irradiation by month, lost energy, and electric energy.
+    """Compute the energy of a solar tracker over a year.
 
-    SCENE is the name of a library scene or a model file (see run) with x to the east, y to the north and z
-    up; without it, the tracker of the library. Poses are at rest, one for each hour.
+    The command reports the irradiation by month, the lost energy, and the electric energy of a module. The
+    scene has x to the east, y to the north and z up. Poses are static, one for each hour.
     """
     from crosscheck.library import SUN_TRACKER
     from crosscheck.solar.base import base_of

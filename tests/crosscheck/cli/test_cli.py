@@ -90,13 +90,6 @@ def test_list_of_a_scene_has_no_round_off(capsys, tmp_path):
     assert out.splitlines()[0].split() == ["gravity", "m/s^2", "0", "0", "-9.81"]
 
 
-def test_help_is_not_cut_off(capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-    status, out, _ = run(capsys, "--help")
-    assert status == 0
-    assert [line for line in out.splitlines() if line.startswith("  ") and line.endswith("...")] == []
-
-
 def test_module_and_version():
     command = [sys.executable, "-m", "crosscheck", "--version"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
