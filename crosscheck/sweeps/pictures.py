@@ -34,6 +34,9 @@ MAX_SCATTER_POINTS = 5000
 NEARLY_EQUAL_RANGE = 1e-2
 """Range of values, relative to the largest magnitude, below which plots show values minus an offset."""
 
+MAX_OPAQUE_POINTS = 100
+"""Largest number of runs whose points are drawn large and opaque."""
+
 SCATTER_COLUMNS = 3
 """Largest number of parameters over which each kept number is plotted, those with the largest effects."""
 
@@ -75,7 +78,7 @@ def pictures(
         ),
         "scatter.png": _grid_of_plots(
             rows=len(shown),
-            columns=SCATTER_COLUMNS,
+            columns=min(SCATTER_COLUMNS, max(len(found) for _, found in shown)),
             draw=lambda axes: _scatter(axes, shown, points, inputs, units),
             height=2.4,
         ),
@@ -186,8 +189,9 @@ def _scatter(
 ) -> None:
     """Draw each number over the parameters with the largest effects, with a point for each run.
 
-    The arguments are those of `pictures`, after the array (numbers, `SCATTER_COLUMNS`) of axes.
+    The arguments are those of `pictures`, after the array (numbers, at most `SCATTER_COLUMNS`) of axes.
     """
+    size, opacity = (6.0, 1.0) if len(points) <= MAX_OPAQUE_POINTS else (2.0, 0.5)
     for row, (scalar, found) in zip(axes, effects, strict=True):
         # of a group of correlated parameters "a, b", the first one
         names = [effect.name.partition(", ")[0] for effect in found[:SCATTER_COLUMNS]]
@@ -195,7 +199,7 @@ def _scatter(
         y = scalar.values[points] - y_origin
         for ax, name in zip(row, names, strict=False):
             x_origin, minus_x_origin = _origin(inputs[name])
-            ax.plot(inputs[name] - x_origin, y, ".", color=POINT_COLOR, markersize=2.0, alpha=0.5)
+            ax.plot(inputs[name] - x_origin, y, ".", color=POINT_COLOR, markersize=size, alpha=opacity)
             label = with_unit(name.replace(".", ".\n", 1) + minus_x_origin, units[name])
             ax.set_xlabel(label, fontsize="small")  # powers of ten are placed next to it
             ax.tick_params(labelsize="small")

@@ -166,6 +166,24 @@ PLOTS = {
     "excavator_workspace": Plot(
         "kinematics.md", "crosscheck workspace excavator ", "workspace/excavator/workspace.png"
     ),
+    "sweep_scatter": Plot("sweeps.md", "crosscheck sweep tracker --vary ", "sweep/tracker/scatter.png"),
+    "sweep_tornado": Plot(
+        "sweep_sensitivities.md", "crosscheck sweep tracker --sampling saltelli ", "sweep/tilt/tornado.png"
+    ),
+    "sweep_histogram": Plot(
+        "sweep_tolerances.md", "crosscheck sweep slider_crank ", "sweep/slider_crank/histograms.png"
+    ),
+    "sweep_response": Plot(
+        "sweep_tolerances.md", "crosscheck sweep tracker --vary ", "sweep/damping/scatter.png"
+    ),
+    "sweep_period": Plot(
+        "sweep_digital.md", "crosscheck sweep tracker_computed_torque ", "sweep/period/scatter.png"
+    ),
+    "sweep_extended": Plot(
+        "sweep_large.md",
+        'crosscheck sweep pendulum --vary "dumbbell.mass=normal(2, 0.1)" --sampling sobol --runs 1024 ',
+        "sweep/pendulum/histograms.png",
+    ),
     "sun_reach": Plot("sun.md", f"crosscheck sun {REACH_PLACE} --reach", "sun/tracker_sun/reach.png"),
 }
 """Plots of commands, by the name of the picture."""
