@@ -11,16 +11,28 @@ differ by up to 3 %, and its coordinates by 8e-6 m after 100 steps of 1 ms.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from mjcf.errors import MjcfError
 from mjcf.forces import wind_loads
 from mjcf.soft import SoftMuJoCo
-from newton_euler.errors import MissingPackageError, OptionError
+from newton_euler.errors import (
+    DISTRIBUTION,
+    MissingPackageError,
+    OptionError,
+    UnusablePackageError,
+    one_line,
+)
+from newton_euler.optional_packages import version_of
 
 EXTRA = "mjx"
 """Name of the optional dependencies (`pip install crosscheck-dynamics[mjx]`)."""
+
+REQUIREMENTS = ("jax>=0.10", "mujoco-mjx>=3.17")
+"""Requirements of the packages that `EXTRA` installs."""
 
 
 class MjxSteps:
@@ -31,15 +43,12 @@ class MjxSteps:
 
         Raises:
             MissingPackageError: if MJX is not installed.
+            UnusablePackageError: if MJX is too old, or cannot be imported.
             MjcfError: for a scene that needs Python at every step, or an element that MJX lacks.
         """
         _refuse_python(system)
-        try:
-            import jax
-            from mujoco import mjx
-        except ImportError as error:
-            raise MissingPackageError("mujoco.mjx", EXTRA) from error
-        self._system, self._jax, self._mjx = system, jax, mjx
+        self._system = system
+        self._jax, self._mjx = _imported()
 
     def advance(self, number: int) -> None:
         """Take steps from the state in the system's `data`, and write the new state and time there.
@@ -49,6 +58,7 @@ class MjxSteps:
 
         Raises:
             MjcfError: for an element that MJX lacks.
+            UnusablePackageError: if the versions of MJX and MuJoCo do not match.
         """
         model, data = self._system.model, self._system.data
         with self._jax.enable_x64(True):
@@ -58,17 +68,44 @@ class MjxSteps:
                 raise MjcfError(
                     f"scene {self._system.scene.name!r}: MJX lacks an element: {error}"
                 ) from error
+            except (AttributeError, TypeError) as error:  # of models with other attributes
+                raise _unusable("cannot take a model of MuJoCo", error) from error
             end = _compiled_steps()(*on_device, number)
             for name in ("qpos", "qvel", "qacc_warmstart"):
                 getattr(data, name)[:] = getattr(end, name)
             data.time = float(end.time)
 
 
+def _imported() -> tuple[Any, Any]:
+    """Import JAX and MJX; for the errors see `MjxSteps`."""
+    try:
+        for requirement in REQUIREMENTS:
+            version_of(requirement)
+    except PackageNotFoundError as error:
+        raise MissingPackageError(error.name, EXTRA) from error
+    try:
+        import jax
+        from mujoco import mjx
+    except Exception as error:  # jax raises a RuntimeError for another version of jaxlib
+        raise _unusable("cannot be imported", error) from error
+    return jax, mjx
+
+
+def _unusable(problem: str, error: Exception) -> UnusablePackageError:
+    """Return the error for MJX in versions that do not match, with all versions that were found."""
+    found = list[str]()
+    for package in ("jax", "jaxlib", "mujoco-mjx", "mujoco"):
+        with suppress(PackageNotFoundError):
+            found.append(f"{package} {version(package)}")
+    reason = one_line(str(error)).rstrip(".") or type(error).__name__
+    problem = f"{problem}: {reason} (found: {', '.join(found)})"
+    return UnusablePackageError("MJX", problem, f"{DISTRIBUTION}[{EXTRA}]")
+
+
 @cache
 def _compiled_steps() -> Any:
     """Return a function of MJX's model, data and a number of steps; JAX compiles it once for each model."""
-    import jax
-    from mujoco import mjx
+    jax, mjx = _imported()
 
     def steps(model: Any, data: Any, number: Any) -> Any:
         """Take a number of steps."""

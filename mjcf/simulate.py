@@ -89,13 +89,14 @@ def simulate(
         iterations: largest number of iterations of the solver in one evaluation.
         tolerance: relative improvement at which the solver ends its iteration.
         backend: implementation that takes the steps: "C", or "MJX" in JAX, see `mjcf.mjx`. Outputs are
-            evaluated in C.
+            evaluated in C. The commands of crosscheck take "C", as MJX compiles each model for up to a minute.
 
     Raises:
         NewtonEulerError: for an unknown integrator or solver, an impossible option, or a controller that
             fails.
         MjcfError: for a scene that MuJoCo or MJX refuses, or a run that diverges.
         MissingPackageError: for "MJX" if it is not installed.
+        UnusablePackageError: for "MJX" in versions that are too old, or do not match.
 
     Examples:
         >>> mjcf.simulate(load("pendulum"), timestep=0.001)

@@ -86,6 +86,26 @@ class MissingPackageError(NewtonEulerError):
         return type(self), (self.package, self.extra)
 
 
+class UnusablePackageError(NewtonEulerError):
+    """An installed package that cannot be used: of another version than needed, or broken.
+
+    Attributes:
+        package: name of the package, or of what it provides.
+        problem: what is wrong with the installed package.
+        needed: packages and versions that can be used, as pip takes them, such as "numpy>=2.0".
+    """
+
+    def __init__(self, package: str, problem: str, needed: str) -> None:
+        self.package, self.problem, self.needed = package, problem, needed
+        super().__init__(
+            f"{package} {problem}; needed: {needed}, as by: python -m pip install --upgrade '{needed}'"
+        )
+
+    def __reduce__(self) -> tuple[type[UnusablePackageError], tuple[str, str, str]]:
+        """Return how to construct the error again when it is unpickled in another process."""
+        return type(self), (self.package, self.problem, self.needed)
+
+
 class MechanismError(NewtonEulerError):
     """An invalid value in a mechanism or scene (a mechanism with its forces, initial state and duration).
 

@@ -10,13 +10,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, version
+from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points
 from typing import Final, Never
 
 from crosscheck.engines import mujoco, newton_euler, pinocchio
 from crosscheck.engines.engine import Engine
 from crosscheck.support.errors import CrosscheckError, reason_of
-from newton_euler.errors import DISTRIBUTION, choices
+from newton_euler.errors import DISTRIBUTION, UnusablePackageError, choices
+from newton_euler.optional_packages import version_of
 
 SOLVER = newton_euler.ENGINE
 """This project's own solver, whose runs are references for settings of the others."""
@@ -165,16 +166,13 @@ def _require(name: str, requirement: str) -> None:
         name: name of the engine.
         requirement: package and versions, such as "numpy>=2.0".
     """
-    from packaging.requirements import Requirement
-
-    needed = Requirement(requirement)
-    how = f"needed: {requirement}, as by: python -m pip install '{requirement}'"
     try:
-        found = version(needed.name)
+        version_of(requirement)
     except PackageNotFoundError as error:
-        raise NotInstalledError(f"engine {name!r}: package {needed.name} is not installed; {how}") from error
-    if not needed.specifier.contains(found, prereleases=True):
-        raise EngineError(f"engine {name!r}: package {needed.name} has version {found}; {how}")
+        how = f"needed: {requirement}, as by: python -m pip install '{requirement}'"
+        raise NotInstalledError(f"engine {name!r}: package {error.name} is not installed; {how}") from error
+    except UnusablePackageError as error:
+        raise EngineError(f"engine {name!r}: {error}") from error
 
 
 def _installed() -> list[Engine]:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import sys
+import tomllib
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,8 +14,9 @@ import pytest
 
 import mjcf
 from crosscheck.library import load
+from mjcf import mjx
 from mjcf.errors import MjcfError
-from newton_euler.errors import MissingPackageError, OptionError, UnknownNameError
+from newton_euler.errors import MissingPackageError, OptionError, UnknownNameError, UnusablePackageError
 
 
 @pytest.mark.parametrize(
@@ -41,11 +45,59 @@ def test_scenes_that_need_python(scene: str, outputs: set[str], word: str) -> No
         mjcf.simulate(replace(load(scene), outputs=frozenset(outputs)), backend="MJX")
 
 
+@pytest.fixture
+def environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """A function that installs packages before all others: versions, and the code of the module jax."""
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def install(code: str = "", **versions: str) -> None:
+        for name, found in versions.items():
+            folder = tmp_path / f"{name}-{found}.dist-info"
+            folder.mkdir()
+            folder.joinpath("METADATA").write_text(
+                f"Metadata-Version: 2.1\nName: {name.replace('_', '-')}\nVersion: {found}\n"
+            )
+        tmp_path.joinpath("jax.py").write_text(code)
+        monkeypatch.delitem(sys.modules, "jax", raising=False)
+
+    return install
+
+
+def test_requirements_are_those_of_the_extra() -> None:
+    project = tomllib.loads(Path(__file__).parents[2].joinpath("pyproject.toml").read_text())["project"]
+    assert project["optional-dependencies"][mjx.EXTRA] == list(mjx.REQUIREMENTS)
+
+
 def test_missing_mjx(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "jax", None)
+    monkeypatch.setattr(mjx, "REQUIREMENTS", ("numpy>=1", "absent-package>=2"))
     with pytest.raises(MissingPackageError) as caught:
         mjcf.simulate(load("pendulum"), backend="MJX")
-    assert (caught.value.package, caught.value.extra) == ("mujoco.mjx", "mjx")
+    assert (caught.value.package, caught.value.extra) == ("absent-package", "mjx")
+
+
+def test_old_jax(environment: Callable[..., None]) -> None:
+    environment(jax="0.4.30", mujoco_mjx="3.17.0")
+    with pytest.raises(UnusablePackageError) as caught:
+        mjcf.simulate(load("pendulum"), backend="MJX")
+    assert caught.value.problem == "has version 0.4.30"
+    assert caught.value.needed == mjx.REQUIREMENTS[0]
+
+
+@pytest.mark.parametrize(
+    ("code", "reason"),
+    [
+        ("raise RuntimeError('jaxlib is newer\\nthan jax')", "jaxlib is newer than jax"),
+        ("raise ImportError('libcuda.so: cannot open')", "libcuda.so"),
+        ("raise AttributeError('no attribute')", "no attribute"),
+    ],
+)
+def test_jax_that_cannot_be_imported(environment: Callable[..., None], code: str, reason: str) -> None:
+    environment(code, jax="0.10.2", jaxlib="0.9.0", mujoco_mjx="3.17.0")
+    with pytest.raises(UnusablePackageError) as caught:
+        mjcf.simulate(load("pendulum"), backend="MJX")
+    for word in (reason, "jax 0.10.2, jaxlib 0.9.0, mujoco-mjx 3.17.0, mujoco ", "[mjx]'"):
+        assert word in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
 def test_mjx_takes_the_same_steps() -> None:
