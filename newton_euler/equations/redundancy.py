@@ -207,29 +207,27 @@ def rows_left_out(system: System) -> list[int]:
             used = system.rows_of(found.independent)
             _ROWS_LEFT_OUT[system] = sorted(set(range(count)) - set(used))
         else:
-            _ROWS_LEFT_OUT[system] = dependent_rows(system)
+            q, _ = system.coordinates(regular_state(system.scene))
+            _ROWS_LEFT_OUT[system] = dependent_rows(system, q)
     return _ROWS_LEFT_OUT[system]
 
 
-def dependent_rows(system: System, state: State | None = None) -> list[int]:
+def regular_state(scene: Scene) -> State:
+    """Return the state, at rest, of the largest rank among the configurations that `mobility` examines."""
+    found = mobility(scene)
+    return found.states[max(range(len(found.states)), key=lambda k: found.configurations[k].rank)]
+
+
+def dependent_rows(system: System, q: Array) -> list[int]:
     """Select constraint rows that follow from the others, exactly or almost, and leave the others full rank.
 
-    A QR factorization with pivoting selects the rows to keep.
-
-    Args:
-        system: equations of motion.
-        state: state at which the rows are selected; None for the configuration of the largest rank among
-            those that the mobility analysis has examined.
+    A QR factorization with pivoting selects the rows to keep at coordinates q (nq,).
 
     Returns:
         Row numbers in `phi` of the system, ascending.
     """
     from scipy.linalg import qr
 
-    if state is None:
-        found = mobility(system.scene)
-        state = found.states[max(range(len(found.states)), key=lambda k: found.configurations[k].rank)]
-    q, _ = system.coordinates(state)
     _, pivots = qr(dimensionless_jacobian(system, q).T, mode="r", pivoting=True)
     return sorted(pivots[constraint_rank(system) :].tolist())
 

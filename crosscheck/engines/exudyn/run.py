@@ -1,8 +1,7 @@
 """A run of Exudyn's solver: steps from stop to stop, outputs, the work of forces, and why a run stops.
 
-Exudyn's solvers need independent constraint equations. Rows that are independent at the start may become
-dependent on the way, as in a Bennett linkage that turns. If the rows in use lose independence, and other rows
-have more of it, the run resumes with a model of these rows.
+Exudyn's solvers need independent constraint equations. If those in use lose their independence on the way,
+the run resumes with a model of other ones, see `crosscheck.engines.exudyn.running.IndependentRows`.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import exudyn as exu
 import numpy as np
 
-from crosscheck.engines.exudyn.running import RunningSystem, without_redundancy
+from crosscheck.engines.exudyn.running import IndependentRows, RunningSystem
 from newton_euler.equations.applied_forces import surroundings, with_likely_causes
 from newton_euler.equations.parameters import pieces, with_values
 from newton_euler.errors import SingularityError, quoted
@@ -36,15 +35,8 @@ SPECTRAL_RADIUS = 0.7
 Multipliers oscillate after a jump of forces, by a factor of this size per step. With 0.7 the oscillation has
 decayed after some ten steps; errors of the motion are a fifth larger than with 0.9."""
 
-WEAK_ROWS = 0.2
-"""Fraction of the largest independence of the constraint rows in use below which other rows are considered.
-See `RunningSystem.independence`."""
-
 STEPS_BETWEEN_CHECKS = 10
-"""Largest number of steps between two computations of the independence of the rows in use."""
-
-MIN_GAIN = 2.0
-"""Smallest factor by which other constraint rows must be more independent to replace those in use."""
+"""Largest number of steps between two checks of the independence of the constraint rows in use."""
 
 
 class Output(NamedTuple):
@@ -112,12 +104,10 @@ class Run:
     def __init__(self, scene: Scene, integrator: IntegratorName) -> None:
         """Place the model at the initial state of a scene."""
         self._scene, self._integrator, self.outputs = scene, integrator, list[Output]()
-        state = initial_state(scene)
-        self._equations = without_redundancy(scene)
-        self._q, self._v = self._equations.coordinates(state)
+        self._rows = IndependentRows(scene)
+        self._equations = RunningSystem(scene, self._rows.left_out)
+        self._q, self._v = self._equations.coordinates(initial_state(scene))
         self._time = 0.0
-        # the largest independence of the constraint rows since it was last compared with that of other rows
-        self._independence = self._equations.independence() if self._equations.is_reduced else np.inf
 
     def run(self, plan: Sequence[tuple[Interval, Sequence[Part]]]) -> StoppedError | None:
         """Run all intervals; returns the error that stopped the run, or None."""
@@ -155,31 +145,21 @@ class Run:
         Raises:
             IntegrationError: if Exudyn cannot continue.
         """
-        if self._equations.is_reduced:
+        if self._rows.left_out:
             part = part.with_stops(STEPS_BETWEEN_CHECKS)
         while len(part.times) > 1:
-            reached, is_weak = self._advance(part)
+            reached, has_other_rows = self._advance(part)
             part = part.after(reached)
-            if is_weak:
-                self._choose_rows()
-
-    def _choose_rows(self) -> None:
-        """Take other constraint rows if these are more independent at the present state."""
-        now, scene = self._equations, self._equations.scene
-        others = without_redundancy(self._scene, now.state(self._q, self._v))
-        others.scene, others.time = scene, self._time
-        others.place(self._q, self._v)
-        now.place(self._q, self._v)
-        self._independence = now.independence()
-        if others.independence() > MIN_GAIN * self._independence:
-            self._equations, self._independence = others, others.independence()
-        self._start(is_output=False)
+            if has_other_rows:
+                held, self._equations = self._equations.scene, RunningSystem(self._scene, self._rows.left_out)
+                self._equations.scene, self._equations.time = held, self._time
+                self._start(is_output=False)
 
     def _advance(self, part: Part) -> tuple[int, bool]:
-        """Run a part, or its beginning if the constraint rows become dependent.
+        """Run a part, or its beginning if the constraint rows in use lose their independence.
 
         Returns:
-            Number of stops that were reached, and whether the constraint rows become dependent.
+            Number of stops that were reached, and whether other constraint rows were chosen at the last one.
 
         Raises:
             IntegrationError: if Exudyn cannot continue.
@@ -189,11 +169,11 @@ class Run:
         equations.start(self._q, self._v, self._acceleration, self._multipliers)
         tracks_work, first = equations.scene.tracks_work, len(self.outputs)
         powers = [(begin, equations.power(self._multipliers))] if tracks_work else []
-        reached, is_weak = 0, False
+        reached, has_other_rows = 0, False
 
         def record(_mbs: Any, now: float) -> bool:
             """Follow angles and power after a step, store the state at a stop; False ends the part."""
-            nonlocal reached, is_weak
+            nonlocal reached, has_other_rows
             count = round((now - begin) / step)
             if count == 0:  # Exudyn also calls before the first step
                 return True
@@ -207,8 +187,8 @@ class Run:
             self._read()
             if part.is_output[reached - 1]:
                 self.outputs.append(self._present(float(part.times[reached])))
-            is_weak = self._rows_are_weak()
-            return not is_weak
+            has_other_rows = self._rows.exchange(self._q)
+            return not has_other_rows
 
         equations.model.mbs.SetPostStepUserFunction(record)
         solver, settings = exu.MainSolverImplicitSecondOrder(), self._settings(part)
@@ -219,17 +199,9 @@ class Run:
             raise self._stopped(f"Exudyn: {text[0]}", "") from error
         finally:
             self._add_work(powers, first)
-        if reached < len(part.times) - 1 and not is_weak:
+        if reached < len(part.times) - 1 and not has_other_rows:
             raise self._not_converged(solver, step)
-        return reached, is_weak
-
-    def _rows_are_weak(self) -> bool:
-        """Return whether the constraint rows in use have lost much of their independence."""
-        if not self._equations.is_reduced:
-            return False
-        now = self._equations.independence()
-        self._independence = max(now, self._independence)
-        return now < WEAK_ROWS * self._independence
+        return reached, has_other_rows
 
     def _read(self) -> None:
         """Read the state that Exudyn's solver has reached."""

@@ -2,52 +2,78 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Sequence
 
 import exudyn as exu
 import numpy as np
 
 from crosscheck.engines.exudyn.coordinates import NODAL
 from crosscheck.engines.exudyn.equations import ExudynSystem
-from newton_euler.equations.redundancy import constraint_rank, dependent_rows
+from newton_euler.equations.redundancy import constraint_rank, dependent_rows, regular_state
+from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.model.euler_parameters import matrix_l
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import State, whole_revolutions
+from newton_euler.model.state import whole_revolutions
+from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 
+WEAK_ROWS = 0.2
+"""Fraction of the largest independence of constraint rows below which other rows are considered."""
 
-def without_redundancy(scene: Scene, state: State | None = None) -> RunningSystem:
-    """Return the equations of a scene without redundant constraints, which Exudyn's solvers cannot have.
+STRONG_ROWS = 0.4
+"""Smallest fraction of the largest independence with which other constraint rows replace those in use.
 
-    Args:
-        scene: the scene.
-        state: state at which the constraints in use are chosen; None for one of the configurations that the
-            mobility analysis has examined.
+Near a singular state no rows reach it. The run then keeps its rows, as a new start there is inaccurate."""
+
+
+class IndependentRows:
+    """Choice of constraint rows that are independent, and that imply the redundant ones.
+
+    The independence of rows is the smallest singular value of their dimensionless Jacobian. Rows with much of
+    it at the start may lose it on the way, as in a Bennett linkage that turns.
+
+    Attributes:
+        left_out: numbers of the redundant rows, see `crosscheck.engines.exudyn.model.build`.
     """
-    equations = RunningSystem(scene)
-    if len(equations.row_numbers) == constraint_rank(equations):
-        return equations
-    return RunningSystem(scene, dependent_rows(ExudynSystem(scene, divided=True), state))
+
+    def __init__(self, scene: Scene) -> None:
+        """Choose the rows for the initial state of a scene."""
+        whole = ExudynSystem(scene)
+        self.left_out, self._largest = list[int](), 0.0
+        if len(whole.row_numbers) > constraint_rank(whole):
+            self._every = ExudynSystem(scene, divided=True)
+            regular, _ = self._every.coordinates(regular_state(scene))
+            self.left_out = dependent_rows(self._every, regular)
+            self._largest = self._independence(regular, self.left_out)
+            self.exchange(self._every.coordinates(initial_state(scene))[0])
+
+    def exchange(self, q: Array) -> bool:
+        """Choose other rows at coordinates q (nq,) if the present ones have lost their independence there.
+
+        Returns:
+            Whether other rows were chosen.
+        """
+        if not self.left_out:
+            return False
+        now = self._independence(q, self.left_out)
+        self._largest = max(self._largest, now)
+        if now >= WEAK_ROWS * self._largest:
+            return False
+        others = dependent_rows(self._every, q)
+        independence = self._independence(q, others)
+        if independence < STRONG_ROWS * self._largest:
+            return False
+        self.left_out, self._largest = others, independence
+        return True
+
+    def _independence(self, q: Array, left_out: Sequence[int]) -> float:
+        """Return the independence of the other rows at coordinates q (nq,)."""
+        rows = np.delete(dimensionless_jacobian(self._every, q), left_out, axis=0)
+        return float(np.linalg.svd(rows, compute_uv=False)[-1])
 
 
 class RunningSystem(ExudynSystem):
-    """Equations of a scene whose system of Exudyn a solver runs.
-
-    Attributes:
-        is_reduced: True if redundant constraint rows are left out.
-    """
-
-    def __init__(self, scene: Scene, left_out: Collection[int] = ()) -> None:
-        """Build the model without some constraint rows, see `crosscheck.engines.exudyn.model.build`."""
-        super().__init__(scene, left_out)
-        self.is_reduced = bool(left_out)
-
-    def independence(self) -> float:
-        """Return the smallest singular value of the dimensionless constraint rows at the present state."""
-        nodal = self.reference + self.model.mbs.systemData.GetODE2Coordinates()
-        jacobian = self._constraint_matrix() @ self.nodal_rates(nodal)
-        dimensionless = jacobian * self.velocity_units / self.phi_units[:, None]
-        return float(np.linalg.svd(dimensionless, compute_uv=False)[-1])
+    """Equations of a scene whose system of Exudyn a solver runs."""
 
     def owner(self, row: int) -> str:
         """Return the name of the joint whose equation is a row of Exudyn's system matrix; "" for none."""

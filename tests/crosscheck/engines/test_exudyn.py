@@ -15,7 +15,7 @@ pytest.importorskip("exudyn")
 
 from crosscheck.engines.exudyn import ENGINE
 from crosscheck.engines.exudyn.equations import ExudynSystem
-from crosscheck.engines.exudyn.running import without_redundancy
+from crosscheck.engines.exudyn.running import IndependentRows, RunningSystem
 from crosscheck.engines.exudyn.simulate import simulate
 from crosscheck.engines.limits import CannotExpressError
 from crosscheck.engines.registry import choose
@@ -173,9 +173,10 @@ def constraint_rows(system, state) -> np.ndarray:
 def test_rows_in_use_are_independent_and_imply_all(name):
     """At the start and at moved states, for which models are made as a run makes them."""
     scene = OVERCONSTRAINED[name]
-    whole = ExudynSystem(scene)
+    whole, chosen = ExudynSystem(scene), IndependentRows(scene)
     for state in (initial_state(scene), *random_states(scene, 2)):
-        rows = constraint_rows(without_redundancy(scene, state), state)
+        chosen.exchange(whole.coordinates(state)[0])
+        rows = constraint_rows(RunningSystem(scene, chosen.left_out), state)
         assert len(rows) == constraint_rank(whole) < len(whole.row_numbers)
         assert np.linalg.svd(rows, compute_uv=False)[-1] > 0.01
         # the part of all rows that those in use do not span
@@ -223,7 +224,7 @@ def test_a_model_without_redundant_rows_leaves_out_no_more():
     scene = MECHANISMS["flat_four_bar"](1e-6)
     whole = ExudynSystem(scene)
     assert len(rows_left_out(whole)) == len(whole.row_numbers) - constraint_rank(whole)
-    assert rows_left_out(without_redundancy(scene)) == []
+    assert rows_left_out(RunningSystem(scene, IndependentRows(scene).left_out)) == []
 
 
 def test_reactions_are_the_multipliers_of_the_run():
