@@ -89,7 +89,7 @@ def simulate(
         iterations: largest number of iterations of the solver in one evaluation.
         tolerance: relative improvement at which the solver ends its iteration.
         backend: implementation that takes the steps: "C", or "MJX" in JAX, see `mjcf.mjx`. Outputs are
-            evaluated in C. The commands of crosscheck take "C", as MJX compiles each model for up to a minute.
+            evaluated in C. Commands of crosscheck take "C", as MJX compiles each model for up to a minute.
 
     Raises:
         NewtonEulerError: for an unknown integrator or solver, an impossible option, or a controller that

@@ -76,7 +76,10 @@ GROUND = {
 }
 """Modules below all rooms."""
 
-HEAVY = {"coal", "control", "dask", "jax", "llvmlite", "matplotlib", "mujoco", "pinocchio", "rerun", "scipy"}
+HEAVY = {
+    *("coal", "control", "dask", "jax", "llvmlite", "matplotlib"),
+    *("mujoco", "packaging", "pinocchio", "rerun", "scipy"),
+}
 """Packages that are loaded when they are needed."""
 
 LIMITED = {"numpy", "resource"}
