@@ -20,6 +20,11 @@ if TYPE_CHECKING:
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
 NUMBER = re.compile(r"\\tag\{([^}]*)\}")
 
+BAR = re.compile(r"<mo>(&#x0007C;|&#x02016;)</mo>")
+"""Bars of absolute values and norms, of the height of the text."""
+FUNCTION = re.compile(r"(<mi>(?:cos|sin|tan)</mi>)(?!<mo stretchy=\"false\">&#x00028;)")
+"""Functions whose argument has no parentheses."""
+
 CODE = re.compile(r'<div class="highlight">(.*?)</div>', re.DOTALL)
 OUTPUT = re.compile(r'<span class="go">.*?</span>', re.DOTALL)
 PROMPT = '<span class="gp">'
@@ -80,6 +85,9 @@ def mathematics(formula: re.Match[str]) -> str:
     number = NUMBER.search(latex)
     block = formula[1] == "div"
     mathml = convert(NUMBER.sub("", latex).strip(), display="block" if block else "inline")
+    # browsers stretch bars, and set no space between a function and its argument
+    mathml = BAR.sub(r'<mo stretchy="false">\1</mo>', mathml)
+    mathml = FUNCTION.sub(r'\1<mspace width="0.17em"></mspace>', mathml)
     mathml = mathml.replace("<math ", f'<math aria-label="{html.escape(latex.strip())}" ', 1)
     if not block:
         return mathml

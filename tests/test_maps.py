@@ -11,7 +11,13 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 
-MAPS = ("CONTRIBUTING.md", "docs/explanation/architecture.md", "docs/explanation/solver.md")
+MAPS = (
+    "CONTRIBUTING.md",
+    "docs/explanation/architecture.md",
+    "docs/explanation/solver.md",
+    "docs/explanation/integrators.md",
+    "docs/explanation/native_code.md",
+)
 
 CODE = re.compile(r"`([^`\n]+)`")
 PATH = re.compile(r"(?:newton_euler|mjcf|urdf|crosscheck|tests|docs|examples)/[\w/.\-]*[\w/]")

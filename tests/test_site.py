@@ -17,6 +17,9 @@ PAGES = sorted(str(page.relative_to(ROOT)) for page in (ROOT / "README.md", *ROO
 FENCE = re.compile(r"^```.*?^```$|`[^`\n]*`", re.MULTILINE | re.DOTALL)
 
 
+MATHML = "{http://www.w3.org/1998/Math/MathML}"
+
+
 @pytest.fixture(scope="module")
 def hooks() -> ModuleType:
     """The hooks of the site, which MkDocs loads by their path."""
@@ -32,10 +35,9 @@ def hooks() -> ModuleType:
 def test_formulas_become_mathml_with_their_number(hooks):
     source = r'<div class="arithmatex">\[J a &lt; \gamma \tag{3}\]</div>'
     made = ElementTree.fromstring(hooks.FORMULA.sub(hooks.mathematics, source))
-    space = "{http://www.w3.org/1998/Math/MathML}"
-    assert [child.tag for child in made] == [f"{space}math", "span"]
+    assert [child.tag for child in made] == [f"{MATHML}math", "span"]
     assert made[0].get("display") == "block"
-    assert [each.text for each in made.iter(f"{space}mo")] == ["<"]
+    assert [each.text for each in made.iter(f"{MATHML}mo")] == ["<"]
     assert made[1].text == "(3)"
 
 
@@ -43,6 +45,20 @@ def test_formulas_in_a_sentence_stay_in_it(hooks):
     made = hooks.FORMULA.sub(hooks.mathematics, r'A <span class="arithmatex">\(q\)</span> b')
     assert made.startswith("A <math ")
     assert made.endswith("</math> b")
+
+
+def test_bars_have_the_height_of_the_text_unless_they_are_to_stretch(hooks):
+    source = r'<div class="arithmatex">\[\lvert x \rvert = \left\lvert \frac12 \right\rvert\]</div>'
+    made = ElementTree.fromstring(hooks.FORMULA.sub(hooks.mathematics, source))
+    bars = [each.get("stretchy") for each in made.iter(f"{MATHML}mo") if each.text == "|"]
+    assert bars == ["false", "false", "true", "true"]
+
+
+def test_functions_are_set_apart_from_their_argument(hooks):
+    source = r'<div class="arithmatex">\[\cos x + \sin(x)\]</div>'
+    made = ElementTree.fromstring(hooks.FORMULA.sub(hooks.mathematics, source))
+    texts = [each.text or "" for each in made[0][0]]
+    assert texts == ["cos", "", "x", "+", "sin", "(", "x", ")"]
 
 
 def test_commands_are_copied_without_prompts_and_output(hooks):

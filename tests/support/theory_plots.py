@@ -1,4 +1,4 @@
-"""Plots of the pages on theory: branches of a parallelogram, and noise in overconstrained mechanisms."""
+"""Plots of the pages on theory: branches of a parallelogram, noise in files, and coverage."""
 
 from __future__ import annotations
 
@@ -9,10 +9,23 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from crosscheck.compare.changes import elements
+from crosscheck.library import load
+from newton_euler import simulate
+
 REDUNDANCY = Path(__file__).parents[2] / "docs" / "explanation" / "redundancy.md"
 
 CRANK, GROUND = 0.5, 1.0
 """Lengths of a parallelogram, m: crank and rocker, ground and coupler."""
+
+SLIDER = "inertia of body 'slider'"
+"""Element of the slider-crank that its motion does not excite: the slider does not rotate."""
+
+TOLERANCE = 2e-9
+"""Tolerance of positions of the slider-crank in newton_euler and Pinocchio, m."""
+
+MIN_DISTANCE = 1e-16
+"""Smallest distance on the logarithmic axis, m; smaller ones are drawn there."""
 
 
 def bifurcation() -> Figure:
@@ -85,7 +98,26 @@ def redundancy() -> Figure:
     return figure
 
 
-THEORY_PLOTS = {"plot_bifurcation": bifurcation, "plot_redundancy": redundancy}
+def coverage() -> Figure:
+    """Plot how far changed elements move the bodies of a slider-crank, and the tolerance of the engines."""
+    scene, tight = load("slider_crank"), {"rtol": 1e-12, "atol": 1e-14}
+    original = simulate(scene, **tight).position
+    figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+    ax = figure.subplots()
+    lines = {"joint 'pivot'": "-", "mass of body 'rod'": "--", "inertia of body 'crank'": "-.", SLIDER: ":"}
+    for element in elements(scene):
+        if element.name in lines:
+            run = simulate(element.changed(scene), **tight)
+            distance = np.linalg.norm(run.position - original, axis=2).max(axis=1)
+            ax.semilogy(run.time, np.maximum(distance, MIN_DISTANCE), lines[element.name], label=element.name)
+    ax.axhline(TOLERANCE, color="k", label="tolerance of the engines")
+    ax.set(xlabel="time, s", ylabel="largest distance of a body, m", ylim=(1e-17, 10.0))
+    ax.legend(fontsize="small", loc="lower right", bbox_to_anchor=(1.0, 0.12))
+    ax.grid(alpha=0.3)
+    return figure
+
+
+THEORY_PLOTS = {"plot_bifurcation": bifurcation, "plot_redundancy": redundancy, "plot_coverage": coverage}
 """Functions that draw plots, by the name of the picture."""
 
 
