@@ -85,6 +85,8 @@ def mathematics(formula: re.Match[str]) -> str:
     number = NUMBER.search(latex)
     block = formula[1] == "div"
     mathml = convert(NUMBER.sub("", latex).strip(), display="block" if block else "inline")
+    if "\\" in mathml:
+        raise ValueError(f"latex2mathml cannot convert a command of the formula {latex.strip()}")
     # browsers stretch bars, and set no space between a function and its argument
     mathml = BAR.sub(r'<mo stretchy="false">\1</mo>', mathml)
     mathml = FUNCTION.sub(r'\1<mspace width="0.17em"></mspace>', mathml)

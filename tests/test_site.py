@@ -54,6 +54,12 @@ def test_bars_have_the_height_of_the_text_unless_they_are_to_stretch(hooks):
     assert bars == ["false", "false", "true", "true"]
 
 
+def test_formulas_that_cannot_be_converted_stop_the_build(hooks):
+    source = r'<div class="arithmatex">\[\Big\lVert x \Big\rVert\]</div>'
+    with pytest.raises(ValueError, match=r"\\Big"):
+        hooks.FORMULA.sub(hooks.mathematics, source)
+
+
 def test_functions_are_set_apart_from_their_argument(hooks):
     source = r'<div class="arithmatex">\[\cos x + \sin(x)\]</div>'
     made = ElementTree.fromstring(hooks.FORMULA.sub(hooks.mathematics, source))
