@@ -2,7 +2,7 @@
 # requires-python = ">=3.11"
 # dependencies = ["crosscheck", "exudyn==1.13.6"]
 # ///
-"""Measure Exudyn's parameter variation on four scenes; prints the table of docs/results/speed.md.
+"""Measure Exudyn's parameter variation on four scenes; prints the table of docs/results/speed_batches.md.
 
     pip install exudyn==1.13.6
     python examples/exudyn_variation.py

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import moving_picture
 import pytest
+from command_plots import PLOTS, plot_command
 from pictures import (
     IMAGES,
     MADE_FROM,
     NOTEBOOK,
     PAGES,
     PAPER,
-    PLOTS,
     ROOT,
     SCENES,
     STALE,
@@ -28,19 +28,19 @@ from pictures import (
     made_from,
     notebook_content,
     page_words,
-    plot_command,
     shown,
     verdict_words,
     words,
     wrong_engine,
 )
+from result_plots import RESULT_PLOTS, result_content
 from theory_plots import THEORY_PLOTS, theory_content
 
 from crosscheck.cli import main
 from crosscheck.engines.registry import ENGINES
 from crosscheck.report.page import write_report
 
-LARGEST, LARGEST_OF_ALL = 150_000, 1_500_000
+LARGEST, LARGEST_OF_ALL = 150_000, 2_000_000
 """Bytes of a picture and of all, which every clone of the repository has."""
 
 
@@ -131,6 +131,11 @@ def test_figures_of_the_paper():
 @pytest.mark.parametrize("name", THEORY_PLOTS)
 def test_plots_of_theory(name):
     assert made_from(f"{name}.png") == digest(theory_content(name)), f"{name}.png {STALE}"
+
+
+@pytest.mark.parametrize("name", RESULT_PLOTS)
+def test_plots_of_results(name):
+    assert made_from(f"{name}.png") == digest(result_content(name)), f"{name}.png {STALE}"
 
 
 def test_all_pictures_are_shown_and_small():

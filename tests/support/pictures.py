@@ -22,14 +22,15 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import moving_picture
 import numpy as np
+from command_plots import PLOTS, plot_command
 from PIL import Image, ImageDraw, ImageFont
 from PIL.PngImagePlugin import PngInfo
 from recordings import read_recording
 from rerun.chunk import RrdReader
+from result_plots import RESULT_PLOTS, result_content
 from rich.console import Console
 from rich.text import Text
 from theory_plots import THEORY_PLOTS, theory_content
@@ -148,53 +149,6 @@ def notebook_content() -> str:
     return "\n".join(["".join(cell["source"]) for cell in cells] + templates)
 
 
-class Plot(NamedTuple):
-    """A plot that a command of a page writes."""
-
-    page: str
-    start: str
-    """Beginning of the command in the page."""
-    file: str
-    """The plot, in the folder of the command."""
-
-
-REACH_PLACE = "--latitude 11.56 --longitude 104.92 --date 2026-03-21"
-"""Place and date of the plot of the sun's positions that can be reached."""
-
-PLOTS = {
-    "workspace": Plot("kinematics.md", "crosscheck workspace tracker ", "workspace/tracker/workspace.png"),
-    "excavator_workspace": Plot(
-        "kinematics.md", "crosscheck workspace excavator ", "workspace/excavator/workspace.png"
-    ),
-    "sweep_scatter": Plot("sweeps.md", "crosscheck sweep tracker --vary ", "sweep/tracker/scatter.png"),
-    "sweep_tornado": Plot(
-        "sweep_sensitivities.md", "crosscheck sweep tracker --sampling saltelli ", "sweep/tilt/tornado.png"
-    ),
-    "sweep_histogram": Plot(
-        "sweep_tolerances.md", "crosscheck sweep slider_crank ", "sweep/slider_crank/histograms.png"
-    ),
-    "sweep_response": Plot(
-        "sweep_tolerances.md", "crosscheck sweep tracker --vary ", "sweep/damping/scatter.png"
-    ),
-    "sweep_period": Plot(
-        "sweep_digital.md", "crosscheck sweep tracker_computed_torque ", "sweep/period/scatter.png"
-    ),
-    "sweep_extended": Plot(
-        "sweep_large.md",
-        'crosscheck sweep pendulum --vary "dumbbell.mass=normal(2, 0.1)" --sampling sobol --runs 1024 ',
-        "sweep/pendulum/histograms.png",
-    ),
-    "sun_reach": Plot("sun.md", f"crosscheck sun {REACH_PLACE} --reach", "sun/tracker_sun/reach.png"),
-}
-"""Plots of commands, by the name of the picture."""
-
-
-def plot_command(plot: Plot) -> str:
-    """Command of a plot, as its page has it."""
-    page = (ROOT / "docs" / "how_to" / plot.page).read_text()
-    return plot.start + page.partition(plot.start)[2].partition("\n")[0]
-
-
 PAPER = {5: "paper_5", 6: "drift", 7: "paper_7", 8: "paper_8", 9: "paper_9"}
 """Pictures of the paper's figures, by the number of the figure."""
 
@@ -283,11 +237,16 @@ def terminal(
     return content
 
 
-def save(image: Image.Image, name: str, content: str) -> None:
-    """Write a picture in few colors, with the digest of what it is made from."""
+def save(
+    image: Image.Image, name: str, content: str, method: Image.Quantize = Image.Quantize.MEDIANCUT
+) -> None:
+    """Write a picture in few colors, with the digest of what it is made from.
+
+    `MEDIANCUT` is best for shading, `FASTOCTREE` for plots: it keeps colors that few pixels have.
+    """
     told = PngInfo()
     told.add_text(MADE_FROM, digest(content))
-    reduced = image.convert("RGB").quantize(COLORS, dither=Image.Dither.NONE)
+    reduced = image.convert("RGB").quantize(COLORS, method, dither=Image.Dither.NONE)
     reduced.save(IMAGES / f"{name}.png", pnginfo=told, optimize=True)
 
 
@@ -421,6 +380,13 @@ def of_theory(folder: Path) -> None:
         save(Image.open(folder / f"{name}.png"), name, theory_content(name))
 
 
+def of_results(folder: Path) -> None:
+    """Make the plots of the pages on results."""
+    for name, plot in RESULT_PLOTS.items():
+        plot.draw().savefig(folder / f"{name}.png", dpi=110)
+        save(Image.open(folder / f"{name}.png"), name, result_content(name), Image.Quantize.FASTOCTREE)
+
+
 MAKERS = {
     "runs": of_runs,
     "notebook": of_notebook,
@@ -430,6 +396,7 @@ MAKERS = {
     "plots": of_plots,
     "motion": of_motion,
     "theory": of_theory,
+    "results": of_results,
 }
 """Makers of pictures by name: all, or those that are named on the command line."""
 

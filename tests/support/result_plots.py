@@ -1,0 +1,499 @@
+"""Plots of the pages on results, drawn from the numbers in the tables of these pages.
+
+The tables are the stored numbers: a command writes most of them. A plot is therefore never newer or older
+than the table on its page.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from crosscheck.support.colors import BLUE, GREEN, OTHER_COLORS, VERMILION
+
+RESULTS = Path(__file__).parents[2] / "docs" / "results"
+
+GRAY, ORANGE = OTHER_COLORS[3], OTHER_COLORS[1]
+
+ENGINE_COLORS = {"newton_euler": BLUE, "mujoco": VERMILION, "pinocchio": GREEN}
+
+TABLE = re.compile(r"^\|(?P<head>.*)\|\n\|[-:| ]+\|\n(?P<rows>(?:\|.*\n)+)", re.MULTILINE)
+
+NUMBER = re.compile(r"[-+]?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?")
+
+
+class PageTable(NamedTuple):
+    """A table of a page: headings of the columns, and rows of cells."""
+
+    heads: list[str]
+    rows: list[list[str]]
+
+    def column(self, head: str) -> list[str]:
+        """Cells of the column with a heading."""
+        return [row[self.heads.index(head)] for row in self.rows]
+
+
+def page_table(page: str, *heads: str) -> PageTable:
+    """Find the table of a page whose first columns have these headings.
+
+    Raises:
+        LookupError: if the page does not have exactly one such table.
+    """
+    tables = [
+        PageTable(cells(found["head"]), [cells(row.strip("|")) for row in found["rows"].splitlines()])
+        for found in TABLE.finditer((RESULTS / page).read_text())
+    ]
+    wanted = [table for table in tables if tuple(table.heads[: len(heads)]) == heads]
+    if len(wanted) != 1:
+        raise LookupError(f"{page} has {len(wanted)} tables that begin with {', '.join(heads)}; needed: one")
+    return wanted[0]
+
+
+def cells(row: str) -> list[str]:
+    """Split a row of a Markdown table into its cells."""
+    return [cell.strip().replace("`", "").replace("\\", "") for cell in row.split("|")]
+
+
+def numbers(text: str) -> list[float]:
+    """Numbers of a text, in their order; commas separate thousands."""
+    return [float(each.replace(",", "")) for each in NUMBER.findall(text)]
+
+
+def horizontal(names: list[str], width: float = 8.0) -> tuple[Figure, Axes]:
+    """Make an empty plot with one line for each name, the first one on top."""
+    figure = Figure(figsize=(width, 0.9 + 0.27 * len(names)), layout="constrained")
+    ax = figure.add_subplot()
+    ax.set_yticks(range(len(names)), names, fontsize="small")
+    ax.set_ylim(len(names) - 0.4, -0.6)
+    ax.grid(axis="x", alpha=0.3)
+    return figure, ax
+
+
+def accuracy() -> Figure:
+    """Plot the measured differences of the engines, and the bounds of the tests."""
+    table = page_table("accuracy.md", "quantity", "measured")
+    found = []
+    for name, measured, bound in table.rows:
+        values, bounds = numbers(measured.replace("m/s^2", "")), numbers(bound)
+        if len(bounds) == 1 and max(values) < bounds[0]:
+            found.append((name, max(values), bounds[0]))
+    figure, ax = horizontal([name for name, _, _ in found])
+    for row, (_, value, bound) in enumerate(found):
+        ax.plot([value, bound], [row, row], color=GRAY, linewidth=1.0)
+        ax.plot(value, row, "o", color=BLUE, label="" if row else "measured")
+        ax.plot(bound, row, "|", color=VERMILION, markersize=12, label="" if row else "bound of the test")
+    ax.set(xscale="log", xlabel="relative, m or rad")
+    figure.legend(fontsize="small", ncols=2, loc="outside upper right")
+    return figure
+
+
+def joints() -> Figure:
+    """Plot the time of one right-hand side over the number of velocities."""
+    table = page_table("speed.md", "model", "velocities")
+    chains = [k for k, name in enumerate(table.column("model")) if name.startswith("chain")]
+    velocities = np.array([float(text) for text in table.column("velocities")])
+    figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+    ax = figure.add_subplot()
+    styles = {
+        "newton_euler": (BLUE, "o-"),
+        "MuJoCo mj_forward": (VERMILION, "s--"),
+        "Pinocchio aba": (GREEN, "^:"),
+        "lcaba": (ORANGE, "v-."),
+    }
+    for head, (color, style) in styles.items():
+        label = "Pinocchio lcaba" if head == "lcaba" else head
+        times = np.array([float(text) for text in table.column(head)])
+        ax.loglog(velocities[chains], times[chains], style, color=color, label=f"{label}, chains")
+        others = np.setdiff1d(np.arange(len(times)), chains)
+        ax.loglog(velocities[others], times[others], style[0], color=color, mfc="white")
+    ax.set(xlabel="velocities", ylabel="time of one right-hand side, us")
+    ax.set_xticks(velocities[chains], [f"{count:g}" for count in velocities[chains]])
+    ax.minorticks_off()
+    ax.legend(fontsize="small", title="hollow: humanoids", title_fontsize="small")
+    ax.grid(which="both", alpha=0.3)
+    return figure
+
+
+def batches() -> Figure:
+    """Plot the runs per second of the engines on one thread, at an error of 1e-6."""
+    table = page_table("speed_batches.md", "scene, duration", "newton_euler, eight side by side")
+    scenes = [name.partition(",")[0] for name in table.column("scene, duration")]
+    variation = page_table("speed_batches.md", "scene", "elements")
+    names = [name.partition(",")[0] for name in variation.column("scene")]
+    milliseconds = dict(zip(names, variation.column("ms per run"), strict=True))
+    values = {
+        "newton_euler, eight side by side": [numbers(text)[0] for text in table.column(table.heads[1])],
+        "newton_euler, one by one": [numbers(text)[0] for text in table.column("one by one")],
+        "MuJoCo rollout": [
+            np.nan if text.startswith("below") else numbers(text)[0]
+            for text in table.column("MuJoCo rollout")
+        ],
+        "Exudyn ParameterVariation": [1e3 / numbers(milliseconds[scene])[0] for scene in scenes],
+    }
+    figure = Figure(figsize=(8.0, 3.4), layout="constrained")
+    ax = figure.add_subplot()
+    for k, ((label, runs), color) in enumerate(
+        zip(values.items(), (BLUE, OTHER_COLORS[2], VERMILION, GREEN), strict=True)
+    ):
+        places = np.arange(len(scenes)) + 0.2 * (k - 1.5)
+        ax.bar(places, runs, 0.2, color=color, label=label, zorder=2)
+        for place, value in zip(places, runs, strict=True):
+            if np.isnan(value):
+                ax.text(place, 0.045, "below 1", rotation=90, ha="center", fontsize="x-small")
+    ax.set(yscale="log", ylim=(0.03, 4e5), ylabel="runs per second on one thread")
+    ax.set_xticks(range(len(scenes)), table.column("scene, duration"))
+    ax.grid(axis="y", alpha=0.3)
+    ax.legend(fontsize="small", ncols=2, loc="upper center")
+    return figure
+
+
+def sensitivities() -> Figure:
+    """Plot the cost of a sensitivity over the number of parameters."""
+    table = page_table("speed.md", "scene", "operations of the run, of its derivatives")
+    figure = Figure(figsize=(8.0, 3.2), layout="constrained")
+    ax = figure.add_subplot()
+    for row, style in zip(table.rows, ("o-", "s-", "^-", "v-", "D-", "o--", "s--"), strict=True):
+        costs = [(count, float(row[table.heads.index(str(count))] or "nan")) for count in (1, 2, 4, 8)]
+        ax.plot(*np.transpose(costs), style, label=row[0], markersize=5)
+    ax.axhline(1.0, color="black", linewidth=0.8, linestyle=":")
+    ax.text(8.1, 1.0, "a second run", fontsize="small", va="bottom", ha="right")
+    ax.set(
+        xscale="log",
+        xlabel="number of masses",
+        ylabel="cost of each, in runs",
+        ylim=(0.0, None),
+        xlim=(0.95, 8.4),
+    )
+    ax.set_xticks([1, 2, 4, 8], ["1", "2", "4", "8"])
+    ax.minorticks_off()
+    ax.legend(fontsize="small", ncols=2)
+    ax.grid(alpha=0.3)
+    return figure
+
+
+def solvers() -> Figure:
+    """Plot errors over run times of MuJoCo's constraint solvers."""
+    table = page_table("speed.md", "scene, duration", "step, ms")
+    figure = Figure(figsize=(8.0, 3.2), layout="constrained")
+    scenes = sorted(set(table.column("scene, duration")))
+    for ax, scene in zip(figure.subplots(1, len(scenes)), scenes, strict=True):
+        rows = [row for row in table.rows if row[0] == scene]
+        for solver, style in (("Newton", "o-"), ("CG", "s--"), ("PGS", "^:")):
+            points = [row[table.heads.index(solver)].rsplit(", ", 1) for row in rows]
+            times, errors = zip(*((numbers(time)[0], float(error)) for time, error in points), strict=True)
+            ax.loglog(times, errors, style, label=solver)
+        ax.set(title=scene, xlabel="run time, ms", ylabel="largest error, m or rad")
+        ax.legend(fontsize="small")
+        ax.grid(alpha=0.3)
+    return figure
+
+
+def stress() -> Figure:
+    """Plot the fraction of passed stress cases of each engine and topic."""
+    table = page_table("stress.md", "", "newton_euler")
+    figure, ax = horizontal(table.column(""))
+    ax.grid(visible=False)
+    for k, (engine, color) in enumerate(ENGINE_COLORS.items()):
+        for row, text in enumerate(table.column(engine)):
+            if not text:
+                continue
+            passed, cases = numbers(text.replace("of", " "))
+            place = row + 0.28 * (k - 1)
+            ax.barh(place, 100.0, 0.24, left=0.0, color="#e8e8e8")
+            ax.barh(place, 100.0 * passed / cases, 0.24, color=color, label="" if row else engine)
+            ax.text(101.0, place, f"{passed:.0f} of {cases:.0f}", va="center", fontsize=6.5)
+    ax.set(xlabel="passed cases, %", xlim=(0.0, 110.0))
+    figure.set_figheight(5.6)
+    figure.legend(fontsize="small", ncols=3, loc="outside upper center")
+    return figure
+
+
+def models() -> Figure:
+    """Plot the verdicts of public models by repository, and what acts first in reduced models."""
+    table = page_table("models.md", "model", "options", "verdict")
+    verdicts: dict[str, Counter[str]] = {}
+    for row in table.rows:
+        if row[0].startswith("**"):
+            counts = verdicts.setdefault(row[0].strip("*").partition("/")[2], Counter())
+        else:
+            counts[row[2].partition(":")[0]] += 1
+    colors = {
+        "AGREE": GREEN,
+        "AGREE ON A REDUCED MODEL": OTHER_COLORS[2],
+        "UNFINISHED": ORANGE,
+        "refused": GRAY,
+    }
+    assert {verdict for counts in verdicts.values() for verdict in counts} <= colors.keys()
+    figure = Figure(figsize=(8.0, 4.6), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+    done = np.zeros(len(verdicts))
+    for verdict, color in colors.items():
+        count = np.array([counts[verdict] for counts in verdicts.values()])
+        left.barh(list(verdicts), count, left=done, color=color, label=verdict)
+        done += count
+    left.invert_yaxis()
+    left.tick_params(axis="y", labelsize="small")
+    left.set(xlabel="models", title="verdicts by repository")
+    left.legend(fontsize="x-small")
+    kinds = page_table("models.md", "kind of element", "models")
+    right.barh(kinds.column("kind of element"), [float(n) for n in kinds.column("models")], color=BLUE)
+    right.invert_yaxis()
+    right.tick_params(axis="y", labelsize="small")
+    right.set(xlabel="models", title="what acts first")
+    return figure
+
+
+LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "pm": 1e-12, "deg": 1.0, "rad": 57.29578}
+"""Values of units of lengths, m, and of angles, degrees."""
+
+
+def own_runs() -> Figure:
+    """Plot the errors of runs of public models with their settings, and what the remedies change."""
+    table = page_table("own_runs.md", "model", "settings of the file")
+    colors = {"ACCURATE": GREEN, "OFF": ORANGE, "WRONG": VERMILION}
+    errors, factors = [], []
+    repository = ""
+    for row in table.rows:
+        word, _, error = row[2].partition(":")
+        if row[0].startswith("**"):
+            repository = row[0].strip("*").partition(" ")[0].partition("/")[2]
+        if word not in colors:
+            continue
+        (percent,) = re.findall(r"([\d.]+) %", error)
+        *folders, file = row[0].removesuffix(".xml").split("/")
+        name = " ".join(filter(None, [folders[0] if repository == "mujoco_menagerie" else repository, file]))
+        errors.append((float(percent), word, name))
+        alone = [text.split() for text in row[6].split(";")]
+        costs = [
+            1.0 if "same" in each else numbers(each)[-1] for each in row[5].split("; or ") if "time" in each
+        ]
+        sizes = [float(value) * LENGTHS[unit] for value, unit, *_ in alone]
+        if len(sizes) == len(costs) + 1 and "differs" not in row[6]:
+            factors += [(cost, sizes[0] / size, word) for cost, size in zip(costs, sizes[1:], strict=True)]
+    errors.sort()
+    figure = Figure(figsize=(8.0, 7.6), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+    for row, (percent, word, _) in enumerate(errors):
+        left.plot(percent, row, "o", color=colors[word], markersize=5)
+    left.set_yticks(range(len(errors)), [name for _, _, name in errors], fontsize=6.5)
+    left.set(xscale="log", xlabel="error, % of the motion", ylim=(-0.8, len(errors) - 0.2))
+    left.set_title("with the settings of the file", fontsize="medium")
+    for limit in (0.1, 1.0):
+        left.axvline(limit, color="black", linewidth=0.8, linestyle=":")
+    for word, color in colors.items():
+        left.plot([], [], "o", color=color, label=word)
+    left.legend(fontsize="small", loc="lower right")
+    left.grid(axis="x", alpha=0.3)
+    for cost, factor, word in factors:
+        right.plot(cost, factor, "o", color=colors[word], markersize=5, alpha=0.7)
+    right.set(xscale="log", yscale="log", xlabel="run time, relative to the file", ylabel="error divided by")
+    right.set_title("with the remedies", fontsize="medium")
+    right.axhline(1.0, color="black", linewidth=0.8, linestyle=":")
+    right.grid(alpha=0.3)
+    return figure
+
+
+MOTION_BINS = ("equal", "rounding", "below 1 %", "1 to 10 %", "10 to 50 %", "50 to 100 %", "above 100 %")
+"""Groups of pairs by their difference of motion."""
+
+
+def pairs() -> Figure:
+    """Plot how much the accelerations of pairs differ, and which quantities differ."""
+    table = page_table("pairs.md", "pair", "first")
+    motion: Counter[str] = Counter()
+    kinds: Counter[str] = Counter()
+    for row in table.rows:
+        values = dict(zip(table.heads, row, strict=True))
+        if values["verdict"] == "refused" or not values["motion"]:
+            continue
+        text = values["motion"]
+        if text in MOTION_BINS:
+            motion[text] += 1
+        else:
+            limits = np.searchsorted([1.0, 10.0, 50.0, 100.0], numbers(text)[0])
+            motion[MOTION_BINS[2 + int(limits)]] += 1
+        found = {part.strip().partition(" of ")[0] for part in values["largest differences"].split(";")}
+        kinds.update(kind for kind in found if kind in QUANTITIES)
+    figure = Figure(figsize=(8.0, 3.4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    left.barh(MOTION_BINS, [motion[each] for each in MOTION_BINS], color=BLUE)
+    left.set(xlabel="pairs", title="difference of accelerations")
+    names = [kind for kind, _ in kinds.most_common(10)]
+    right.barh(names, [kinds[name] for name in names], color=VERMILION)
+    right.set(xlabel="pairs", title="among the three largest differences")
+    for ax in (left, right):
+        ax.invert_yaxis()
+        ax.grid(axis="x", alpha=0.3)
+        ax.tick_params(axis="y", labelsize="small")
+    return figure
+
+
+QUANTITIES = (
+    "armature",
+    "damping",
+    "dry friction",
+    "mass",
+    "center of mass",
+    "inertia",
+    "axes of inertia",
+    "joint origin",
+    "joint axis",
+    "joint orientation",
+    "stiffness",
+    "base",
+    "kp",
+    "kv",
+    "gear",
+    "limits",
+    "effort",
+    "speed",
+)
+"""Quantities with which rows of `crosscheck diff` begin."""
+
+
+def planted() -> Figure:
+    """Plot the largest change of motion of each kind of planted change, and how many are named right."""
+    table = page_table("planted.md", "change", "files")
+    files, right_names = (
+        np.array([float(text) for text in table.column(head)]) for head in ("files", "named right")
+    )
+    changes = np.array([float(text or "nan") for text in table.column("largest change of motion")])
+    half = (len(files) + 1) // 2
+    figure = Figure(figsize=(8.0, 0.18 * half + 0.9), layout="constrained")
+    for ax, rows in zip(figure.subplots(1, 2), (slice(half), slice(half, None)), strict=True):
+        names = [
+            f"{name} ({right:.0f} of {count:.0f})"
+            for name, right, count in zip(
+                table.column("change")[rows], right_names[rows], files[rows], strict=True
+            )
+        ]
+        ax.set_yticks(range(len(names)), names, fontsize=7.0)
+        ax.plot(np.maximum(changes[rows], 1e-16), range(len(names)), "o", color=BLUE, markersize=4)
+        ax.set(xscale="log", xlim=(3e-17, 3e4), ylim=(half - 0.3, -0.7))
+        ax.set_xlabel("change of accelerations, relative", fontsize="small")
+        ax.axvline(1e-6, color="black", linewidth=0.8, linestyle=":")
+        ax.tick_params(axis="x", labelsize="small")
+        ax.grid(axis="x", alpha=0.3)
+    return figure
+
+
+def tolerances() -> Figure:
+    """Plot the distribution of the pointing error, and the share of each joint."""
+    found = page_table("tolerances.md", "fraction of the trackers", "error at most, mrad")
+    figure = Figure(figsize=(8.0, 3.2), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(2, 3))
+    fractions = [100.0 if "all" in text else numbers(text)[0] for text in found.column(found.heads[0])]
+    errors = [float(text) for text in found.column("error at most, mrad")]
+    left.plot([0.0, *errors], [0.0, *fractions], "o-", color=BLUE)
+    left.axvline(4.7, color=VERMILION, linestyle=":", label="radius of the sun")
+    left.set(xlabel="error at most, mrad", ylabel="trackers, %", xlim=(0.0, None), ylim=(0.0, 105.0))
+    left.legend(fontsize="small")
+    left.grid(alpha=0.3)
+    table = page_table("tolerances.md", "joint", "normal along x")
+    joints = [name.partition(",")[0] for name in table.column("joint")]
+    places = np.arange(len(joints))
+    for k, (axis, color) in enumerate((("x", BLUE), ("y", ORANGE))):
+        shares = [numbers(text)[0] if text else 0.0 for text in table.column(f"normal along {axis}")]
+        right.barh(places + 0.4 * (k - 0.5), shares, 0.4, color=color, label=f"normal along {axis}")
+    right.set_yticks(places, joints, fontsize="small")
+    right.invert_yaxis()
+    right.set(xlabel="share of the variance, %", xlim=(0.0, 26.0))
+    right.legend(fontsize="small", loc="lower right")
+    right.grid(axis="x", alpha=0.3)
+    return figure
+
+
+def library() -> Figure:
+    """Plot the errors of newton_euler against known answers."""
+    table = page_table("library.md", "scene", "what it tests")
+    found = [
+        (name, numbers(error)[0])
+        for name, error in zip(table.column("scene"), table.column("error"), strict=True)
+        if error and name != "excavator"
+    ]
+    found.sort(key=lambda each: each[1])
+    figure, ax = horizontal([name for name, _ in found])
+    for row, (_, error) in enumerate(found):
+        ax.plot([1e-16, error], [row, row], color=GRAY, linewidth=1.0)
+        ax.plot(error, row, "o", color=BLUE)
+    ax.axvline(2.2e-16, color="black", linewidth=0.8, linestyle=":")
+    ax.text(2.5e-16, len(found) - 0.7, "round-off", fontsize="small")
+    ax.set(xscale="log", xlim=(1e-16, 1e-9), xlabel="largest relative difference from the known answer")
+    return figure
+
+
+EFFECT = re.compile(r"(?:change|differ)s?\b[^.]*? by ([\d.]+) %\s\(([\d.]+)\s?%")
+"""Effect of an entry on accelerations: median and 95th percentile."""
+
+
+def effects() -> list[tuple[float, float, str]]:
+    """Effects of the faults of robots, %: median and 95th percentile, and the name of the robot."""
+    rows = []
+    for page in FOUND_PAGES:
+        for entry in re.split(r"^### ", (RESULTS / page).read_text(), flags=re.MULTILINE)[1:]:
+            title, _, text = entry.partition("\n")
+            if effect := EFFECT.search(" ".join(text.split())):
+                rows.append((float(effect[1]), float(effect[2]), title.replace("`", "")))
+    return sorted(rows, reverse=True)
+
+
+def found_effects() -> Figure:
+    """Plot the effects of faults in public models on accelerations: median to 95th percentile."""
+    rows = effects()
+    figure, ax = horizontal([name for _, _, name in rows])
+    figure.set_figheight(0.8 + 0.19 * len(rows))
+    ax.tick_params(axis="y", labelsize=6.5)
+    for row, (median, high, _) in enumerate(rows):
+        ax.plot([median, high], [row, row], color=GRAY)
+        ax.plot(median, row, "o", color=BLUE, markersize=4, label="" if row else "median")
+        ax.plot(high, row, "|", color=VERMILION, label="" if row else "95th percentile")
+    ax.set(xscale="log", xlabel="change of accelerations, %")
+    ax.legend(fontsize="small", loc="lower right")
+    return figure
+
+
+FOUND_PAGES = ("found_humanoids.md", "found_quadrupeds.md", "found_arms.md")
+"""Pages on faults in models of robots."""
+
+
+class ResultPlot(NamedTuple):
+    """A plot of a page: the function that draws it, and the pages whose tables it shows."""
+
+    draw: Callable[[], Figure]
+    pages: tuple[str, ...]
+
+
+RESULT_PLOTS = {
+    "plot_accuracy": ResultPlot(accuracy, ("accuracy.md",)),
+    "plot_speed_joints": ResultPlot(joints, ("speed.md",)),
+    "plot_speed_batches": ResultPlot(batches, ("speed_batches.md",)),
+    "plot_speed_sensitivities": ResultPlot(sensitivities, ("speed.md",)),
+    "plot_speed_solvers": ResultPlot(solvers, ("speed.md",)),
+    "plot_stress": ResultPlot(stress, ("stress.md",)),
+    "plot_models": ResultPlot(models, ("models.md",)),
+    "plot_own_runs": ResultPlot(own_runs, ("own_runs.md",)),
+    "plot_pairs": ResultPlot(pairs, ("pairs.md",)),
+    "plot_planted": ResultPlot(planted, ("planted.md",)),
+    "plot_tolerances": ResultPlot(tolerances, ("tolerances.md",)),
+    "plot_library": ResultPlot(library, ("library.md",)),
+    "plot_found": ResultPlot(found_effects, FOUND_PAGES),
+}
+"""Plots of the pages on results, by the name of the picture."""
+
+
+def result_content(name: str) -> str:
+    """What a plot is made from: the code that draws it, and the tables of its pages."""
+    plot = RESULT_PLOTS[name]
+    pages = [(RESULTS / page).read_text() for page in plot.pages]
+    values = [found[0] for page in pages for found in TABLE.finditer(page)]
+    if plot.draw is found_effects:
+        values = [repr(effects())]
+    return "\n".join([inspect.getsource(plot.draw), *values])
