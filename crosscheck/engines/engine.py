@@ -30,8 +30,11 @@ MAX_RELATIVE_ERROR = 1e-2
 """Largest error of a run that comparisons accept, relative to the mechanism's reach (its size or its largest
 coordinate), 1 rad or the energy. A run with a larger error has too coarse steps to test a model."""
 
-OTHER_LINE = ("-.", 1.6)
-"""Dash pattern and width (points) of curves of engines that do not run unless they are named."""
+LineStyle = tuple[str | tuple[float, tuple[float, ...]], float]
+"""Dash pattern of matplotlib and width, points, of a curve."""
+
+OTHER_LINE: LineStyle = ((0, (8, 2)), 1.6)
+"""Long dashes: the line of curves of engines of other packages that have none of their own."""
 
 FORCE_OUTPUTS = frozenset({"reactions", "actuation"})
 """Outputs that comparisons need of runs, but not of refined runs."""
@@ -130,8 +133,8 @@ class Engine:
             point unless it is given.
         label: name in texts of importers and references, such as "MuJoCo".
         min_version: oldest version of the package that can be used.
-        color, line: color #rrggbb, and dash pattern of matplotlib with width, points;
-            thick solid under thin dashed lines, so that all of several equal curves are visible.
+        color: color #rrggbb of an engine of another package; one that follows from its name if it is empty.
+        line: line of its curves.
         explicit: integrator of default runs of scenes that are not stiff.
         exact: settings of the most accurate runs, for reference values; `refined` is used if None.
         soft_constraints: the engine's soft constraints; None if its constraints are rigid.
@@ -161,7 +164,7 @@ class Engine:
     label: str = ""
     min_version: str = "0"
     color: str = ""
-    line: tuple[str, float] = OTHER_LINE
+    line: LineStyle = OTHER_LINE
     explicit: Literal["DOP853", "RK4"] = "DOP853"
     exact: Settings | None = None
     soft_constraints: SoftConstraints | None = None

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import rerun as rr
 import rerun.blueprint as rrb
 
-from crosscheck.engines.palette import palette
+from crosscheck.engines.palette import LOOKS, palette
 from crosscheck.engines.registry import SOLVER
 from crosscheck.own_run.interpolation import interpolated
 from crosscheck.recording.blueprint import scene_view
@@ -73,7 +73,7 @@ class LoggedRun:
     def draw(self, recording: rr.RecordingStream, has_meshes: bool) -> None:
         """Draw the moving bodies of the reference and of the log over time, with meshes or without."""
         mechanism = self.mechanism if has_meshes else without_meshes(self.mechanism)
-        solid, ghost = Style(rgb(SOLVER.color)), Style(self.color, ghost=True)
+        solid, ghost = Style(rgb(LOOKS[SOLVER.name].color)), Style(self.color, ghost=True)
         log_bodies(recording, ["logs", self.name, "reference"], mechanism, self.reference, solid)
         log_bodies(recording, ["logs", self.name, "log"], mechanism, self.run, ghost)
 

@@ -18,7 +18,7 @@ from crosscheck.compare.outcome import Outcome
 from crosscheck.engines.benchmarks import Benchmarks
 from crosscheck.engines.engine import no_systems
 from crosscheck.engines.limits import CannotExpressError, Limit
-from crosscheck.engines.palette import line_of, palette
+from crosscheck.engines.palette import LOOKS, line_of, palette
 from crosscheck.engines.registry import ENGINES, SOLVER, choose
 from crosscheck.library import load
 from crosscheck.library.scene_file import write_scene
@@ -38,16 +38,18 @@ from crosscheck.support.errors import CrosscheckError
 from crosscheck.verdict import check
 from newton_euler.model.control import PD
 
-TOY = replace(SOLVER, name="toy", package="click", color="", line=(":", 3.0))
+TOY = replace(SOLVER, name="toy", package="click", line=(":", 3.0))
 OWN_COLOR = replace(TOY, name="colored", color="#123456")
 
 
 def test_colors_and_lines_of_an_engine_do_not_depend_on_those_beside_it(with_engines):
-    with_engines(OWN_COLOR, TOY)
-    alone, beside = palette(["toy"]), palette(["other", "colored", "mujoco", "toy"])
-    assert alone["toy"] == beside["toy"] == OTHER_COLORS[2]
+    with_engines(TOY)
+    alone = palette(["toy"])
+    with_engines(OWN_COLOR, replace(TOY, name="a_toy"), TOY)
+    beside = palette(["other", "colored", "mujoco", "toy"])
+    assert alone["toy"] == beside["toy"] == "#881122"  # in all installations
     assert beside["colored"] == "#123456"
-    assert beside["mujoco"] == ENGINES["mujoco"].color
+    assert beside["mujoco"] == LOOKS["mujoco"].color
     assert beside["other"] == OTHER_COLORS[0]
     assert line_of("toy") == (":", 3.0)
     assert line_of("baseline") is None

@@ -25,7 +25,6 @@ from crosscheck.engines.engine import (
 )
 from crosscheck.engines.steps import halve_until_accurate
 from crosscheck.engines.stress import StressSettings
-from crosscheck.support.colors import VERMILION
 from newton_euler.equations.system import Evaluation, System
 from newton_euler.integrators.fixed_step import RK4_LIMIT
 from newton_euler.model.scene import Scene
@@ -197,8 +196,6 @@ ENGINE = Engine(
     package="mujoco",
     label="MuJoCo",
     explicit="RK4",
-    color=VERMILION,
-    line=("--", 1.6),
     soft_constraints=SoftConstraints(_soft_evaluation, SOLVER_TOLERANCE),
     refined_in_full=partial(_refined, in_full=True),
     fixed_steps=FixedSteps("RK4", lambda step: {"integrator": "RK4", "timestep": step}, steps=40),

@@ -6,7 +6,6 @@ from crosscheck.engines.adaptive import native_refined, native_run
 from crosscheck.engines.benchmarks import Benchmarks
 from crosscheck.engines.engine import NO_SETTINGS, Engine, FixedSteps, Settings
 from crosscheck.engines.stress import StressSettings
-from crosscheck.support.colors import BLUE
 from newton_euler.equations.system import System
 from newton_euler.errors import DISTRIBUTION
 from newton_euler.model.scene import Scene
@@ -54,8 +53,6 @@ ENGINE = Engine(
     drift=1e-13,
     energy_error=1e-8,
     package=DISTRIBUTION,
-    color=BLUE,
-    line=("-", 2.6),
     exact={"rtol": EXACT_RTOL, "atol": EXACT_ATOL},
     fixed_steps=FixedSteps("RK4", lambda step: {"integrator": "RK4", "step": step}, steps=40),
     benchmarks=_benchmarks,

@@ -15,7 +15,6 @@ from crosscheck.engines.engine import (
     Settings,
 )
 from crosscheck.engines.stress import StressSettings
-from crosscheck.support.colors import GREEN
 from newton_euler.equations.system import System
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
@@ -86,8 +85,6 @@ ENGINE = Engine(
     energy_error=1e-8,
     package="pin",
     label="Pinocchio",
-    color=GREEN,
-    line=(":", 1.8),
     refined_in_full=partial(_refined, in_full=True),
     # Python calls Pinocchio four times per step
     fixed_steps=FixedSteps("RK4", lambda step: {"integrator": "RK4", "step": step}, steps=10),

@@ -10,8 +10,7 @@ from recordings import read_recording, write_recording
 from rerun.chunk import RrdReader
 
 import newton_euler
-from crosscheck.engines.palette import palette
-from crosscheck.engines.registry import ENGINES
+from crosscheck.engines.palette import LOOKS, palette
 from crosscheck.library import load
 from crosscheck.recording.blueprint import EYE_DIRECTION, HALF_FIELD_OF_VIEW, MIN_ASPECT_RATIO
 from crosscheck.recording.plots import plots, tilt
@@ -101,7 +100,9 @@ def test_tilt_is_in_degrees():
 
 def test_engines_keep_their_colors_beside_others():
     found = palette(["one", "mujoco", "two"])
-    assert found == {"one": OTHER_COLORS[0], "mujoco": ENGINES["mujoco"].color, "two": OTHER_COLORS[1]}
+    assert found == {"one": OTHER_COLORS[0], "mujoco": LOOKS["mujoco"].color, "two": OTHER_COLORS[1]}
+    beside_drake = palette(["drake", "one", "two", "three"])
+    assert len(set(beside_drake.values())) == 4
     many = [*palette([str(k) for k in range(len(OTHER_COLORS) + 1)]).values()]
     assert many[-1] == many[0]
     assert rgb("#0072b2") == (0, 114, 178)
