@@ -91,11 +91,19 @@ def choose(wanted: Iterable[str]) -> list[Engine]:
             raise CrosscheckError(f"engine {name!r} is named {asked.count(name)} times")
         # entry points are read for names of other packages only
         if name == ALL:
-            engines = [*ENGINES.values(), *_installed()]
+            engines = [*ENGINES.values(), *_installed(names())]
         else:
             engines = [ENGINES[name] if name in ENGINES else _load(name)]
         found |= {engine.name: engine for engine in engines if engine.name not in found}
     return list(found.values())
+
+
+def may_import_files() -> list[Engine]:
+    """Return the installed engines that may have an importer, also unusable ones.
+
+    The optional engines of this project have none, and are not loaded.
+    """
+    return [*ENGINES.values(), *_installed(name for name in names() if name not in OPTIONAL)]
 
 
 def find(name: str) -> Engine | None:
@@ -175,10 +183,12 @@ def _require(name: str, requirement: str) -> None:
         raise EngineError(f"engine {name!r}: {error}") from error
 
 
-def _installed() -> list[Engine]:
-    """Return the engines besides the default ones whose packages are installed, also unusable ones."""
+def _installed(wanted: Iterable[str]) -> list[Engine]:
+    """Return engines, besides the default ones, whose packages are installed, also unusable ones."""
     found = []
-    for name in names()[len(ENGINES) :]:
+    for name in wanted:
+        if name in ENGINES:
+            continue
         try:
             found.append(_load(name))
         except NotInstalledError:

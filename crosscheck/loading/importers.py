@@ -13,7 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from crosscheck.engines.engine import Engine
-from crosscheck.engines.registry import ALL, choose
+from crosscheck.engines.registry import may_import_files
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.source_file import SourceError, path_text, read_text
 from newton_euler.reading.robot import RobotFile
@@ -35,7 +35,7 @@ OWN = "crosscheck"
 def importers() -> dict[str, Engine]:
     """Return the installed engines that have an importer, by its name in texts."""
     found: dict[str, Engine] = {}
-    for engine in choose([ALL]):
+    for engine in may_import_files():
         if engine.importer is not None:
             is_free = engine.label and engine.label not in (OWN, *found)
             found[engine.label if is_free else engine.name] = engine

@@ -22,6 +22,7 @@ from crosscheck.engines.registry import (
     EngineError,
     NotInstalledError,
     choose,
+    may_import_files,
 )
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.errors import DISTRIBUTION
@@ -124,6 +125,18 @@ def test_optional_engines_that_cannot_be_used(optional, requirement, reason, err
         choose(["toy"])
     assert reason in str(caught.value)
     assert len(choose(["all"])) == len(ENGINES) + (error is EngineError)
+
+
+def test_engines_are_asked_for_importers_without_loading_the_optional_ones(optional):
+    optional("numpy>=1.2", SimpleNamespace())  # loading it would give an unusable engine
+    assert may_import_files() == list(ENGINES.values())
+    assert len(choose(["all"])) == len(ENGINES) + 1
+
+
+@pytest.mark.parametrize("name", registry.OPTIONAL)
+def test_optional_engines_have_no_importer(name):
+    pytest.importorskip({"drake": "pydrake"}.get(name, name))
+    assert choose([name])[0].importer is None
 
 
 def test_requirements_of_optional_engines_are_those_of_their_extras():
