@@ -37,13 +37,22 @@ MAX_OPEN_ROWS = 16
 COMMANDS = "<!-- commands -->"
 """Place in a page that takes the help of all commands."""
 
+EXPLANATIONS = "<!-- explanations -->"
+"""Place in a page that takes the texts of `crosscheck explain`."""
+
 HELP_WIDTH = 100
 """Width of the options of commands, characters."""
 
 
 def on_page_markdown(markdown: str, **_: object) -> str:
-    """Insert the help of all commands."""
-    return markdown.replace(COMMANDS, "\n".join(commands())) if COMMANDS in markdown else markdown
+    """Insert the help of all commands, and the texts of `crosscheck explain`."""
+    if COMMANDS in markdown:
+        markdown = markdown.replace(COMMANDS, "\n".join(commands()))
+    if EXPLANATIONS in markdown:
+        from crosscheck.report.explain import explanation_markdown
+
+        markdown = markdown.replace(EXPLANATIONS, "\n".join(explanation_markdown()))
+    return markdown
 
 
 def commands() -> Iterator[str]:

@@ -29,9 +29,8 @@ from mjcf.run_settings import INTEGRATORS, Inputs, MujocoSettings
 from newton_euler.equations.dense import least_squares
 from newton_euler.model.scene import Scene
 from newton_euler.reading.file_run import (
-    INTEGRATOR,
-    TIME_STEP,
     Cause,
+    CauseName,
     FileRun,
     FileSimulation,
     evaluations_per_step,
@@ -229,17 +228,17 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         fine = replace(of_file, timestep=of_file.timestep / FINE_STEP_DIVISOR)
         if self._model.neq:
             *_, stiffest = self.softness(fine)
-            yield Cause("soft constraints", without=stiffest, against=fine)
-        yield Cause(TIME_STEP, without=fine)
+            yield Cause(CauseName.SOFT_CONSTRAINTS, without=stiffest, against=fine)
+        yield Cause(CauseName.TIME_STEP, without=fine)
         for name in INTEGRATORS:
             if name != of_file.integrator:
                 # a time step with equal cost per second of motion
                 cost = evaluations_per_step(name) / evaluations_per_step(of_file.integrator)
                 other = replace(of_file, integrator=name, timestep=of_file.timestep * cost)
-                yield Cause(INTEGRATOR, without=other, is_choice=True)
-        yield Cause("solver iterations", without=replace(of_file, **CONVERGED_SOLVER))
+                yield Cause(CauseName.INTEGRATOR, without=other, is_choice=True)
+        yield Cause(CauseName.SOLVER_ITERATIONS, without=replace(of_file, **CONVERGED_SOLVER))
         if of_file.sleep:
-            yield Cause("sleep", without=replace(of_file, sleep=False))
+            yield Cause(CauseName.SLEEP, without=replace(of_file, sleep=False))
 
     def softness(self, settings: MujocoSettings) -> tuple[MujocoSettings, ...]:
         """Return variants of settings, from soft to stiff equalities.

@@ -23,7 +23,7 @@ import pinocchio as pin
 
 from newton_euler.equations.dense import least_squares
 from newton_euler.model.scene import Scene
-from newton_euler.reading.file_run import Cause, FileRun, FileSimulation, evaluations_per_step
+from newton_euler.reading.file_run import Cause, CauseName, FileRun, FileSimulation, evaluations_per_step
 from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 from urdf.loops import REVOLUTE
@@ -194,20 +194,20 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
         base = self.settings
         if self._has_dampers and base.integrator != RK4:
             base = replace(base, damping=IMPLICIT_DAMPING)
-            yield Cause("explicit damping", without=base, is_choice=True)
+            yield Cause(CauseName.EXPLICIT_DAMPING, without=base, is_choice=True)
         if self._reference.closures:
             converged = replace(base, **CONVERGED)
-            yield Cause("proximal iterations", without=converged, against=base)
+            yield Cause(CauseName.PROXIMAL_ITERATIONS, without=converged, against=base)
             for factor in GAIN_FACTORS:
                 closing = _closing(converged, factor)
-                yield Cause("Baumgarte stabilization", without=closing, against=converged, is_choice=True)
+                yield Cause(CauseName.BAUMGARTE, without=closing, against=converged, is_choice=True)
             base = _closing(converged, CLOSING_FACTORS.get(converged.integrator, 1.0))
         first_divisor, *_ = FINE_STEP_DIVISORS
         for divisor in FINE_STEP_DIVISORS:
             fine = self._scaled(base, base.timestep / divisor)
             is_cheap = self.evaluations(fine) * self.scene.duration <= MAX_LOOP_EVALUATIONS
             if is_cheap or divisor == first_divisor:
-                yield Cause("time step", without=fine, against=base)
+                yield Cause(CauseName.TIME_STEP, without=fine, against=base)
         for name in INTEGRATORS:
             if name != base.integrator:
                 # a time step with equal cost per second of motion, and implicit damping if possible
@@ -215,9 +215,11 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
                 other = replace(base, integrator=name, timestep=base.timestep * cost)
                 other = replace(other, damping=self._dampings(name)[-1])
                 if not self._reference.closures:
-                    yield Cause("integrator", without=other, against=base, is_choice=True)
+                    yield Cause(CauseName.INTEGRATOR, without=other, against=base, is_choice=True)
                 for factor in GAIN_FACTORS if self._reference.closures else ():
-                    yield Cause("integrator", without=_closing(other, factor), against=base, is_choice=True)
+                    yield Cause(
+                        CauseName.INTEGRATOR, without=_closing(other, factor), against=base, is_choice=True
+                    )
 
     def alternatives(self, divisor: int) -> Iterator[PinocchioSettings]:
         """Yield other settings that may reduce the error, with the user's time step divided by `divisor`.

@@ -32,7 +32,7 @@ from newton_euler.model.spanning_tree import unweld_loops
 from newton_euler.reading import plausibility
 from newton_euler.reading.excitation import with_start_velocities
 from newton_euler.reading.file_names import FileCoordinate, FileFrame, FileNames
-from newton_euler.reading.import_report import EXCITED, Finding, ImportReport, unique_name
+from newton_euler.reading.import_report import EXCITED, Finding, ImportReport, Mistake, unique_name
 from newton_euler.reading.verify import verify_report
 from newton_euler.scalars import Array
 from urdf.errors import UrdfError
@@ -253,7 +253,7 @@ def _unread_loops(path: Path) -> Iterator[Finding]:
     """Yield a finding for each loop file next to the URDF at `path`, if the URDF is imported without one."""
     for loop_file in loop_files_beside(path):
         yield Finding(
-            name="unread-loops",
+            name=Mistake.UNREAD_LOOPS,
             element=loop_file.name,
             what="a loop file is next to the URDF and was not read",
             consequence="its loops are open in this run",

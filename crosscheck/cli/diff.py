@@ -11,6 +11,7 @@ import click
 
 from crosscheck.cli.shared import (
     cli,
+    explanation_steps,
     folder_option,
     fraction,
     progress_shown,
@@ -126,7 +127,9 @@ def compare_and_show(
     contents = as_json(numbers, found), summary, sarif(comparison)
     write_files(dict(zip(paths, contents, strict=True)))
     page = write_report(folder, lambda _: None)
-    show(found, f"wrote {', '.join(map(str, [page, *paths]))}")
+    # the quantity of the first row, whose effect is the largest
+    quantities = [row.quantity.value for row in comparison.differences[:1]]
+    show(found, *explanation_steps(*quantities), f"wrote {', '.join(map(str, [page, *paths]))}")
     if os.environ.get("GITHUB_ACTIONS") == "true":
         for command in workflow_commands(comparison):
             click.echo(command)

@@ -20,7 +20,7 @@ SCENE = "Library scene (`crosscheck list`), scene file (YAML, JSON), MJCF or URD
 
 
 TASKS = {
-    "Check a model": ("run", "tune", "importers"),
+    "Check a model": ("run", "explain", "tune", "importers"),
     "Compare models and versions": ("diff", "regress"),
     "Vary and fit parameters": ("sweep", "identify"),
     "Design a mechanism": ("workspace", "modes", "loads", "drives", "controllers"),

@@ -19,6 +19,7 @@ from crosscheck.cli.shared import (
     allow_reduced_option,
     cli,
     engines_option,
+    explanation_steps,
     next_step,
     progress_shown,
     say,
@@ -239,6 +240,7 @@ def _run(asked: _Options) -> int:
     from crosscheck.loading.load import load_scene, non_default_options, with_excitation
     from crosscheck.own_run.allowed import AllowedError
     from crosscheck.recording.mesh_budget import meshes_left_out
+    from crosscheck.report.explain import names_to_explain
     from crosscheck.report.output import SUMMARY, TEST_CASES, results_name, usual_folder, write
     from crosscheck.report.run import report
     from crosscheck.support.files import check_no_source, check_writable
@@ -286,7 +288,7 @@ def _run(asked: _Options) -> int:
     settings = [word for key, value in changed.items() for word in ("--set", f"{key}={value}")]
     next_command = "tune" if result.own_run and result.own_run.remedies else "bench"
     more = ["-v", next_step("report", folder), next_step(next_command, result.source, *settings)]
-    show(found, look, f"more  {'; '.join(more)}")
+    show(found, *explanation_steps(*names_to_explain(result)), look, f"more  {'; '.join(more)}")
     return result.outcome.exit_status(asked.allow_reduced)
 
 

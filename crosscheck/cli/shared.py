@@ -311,6 +311,12 @@ def next_step(*words: object) -> str:
     return join([command, *map(str, words)])
 
 
+def explanation_steps(*names: str) -> list[str]:
+    """Return a line with the commands that explain some names of the output; no line without names."""
+    commands = [next_step("explain", *name.split()) for name in names]
+    return [f"why   {'; '.join(commands)}"] if commands else []
+
+
 @contextmanager
 def progress_shown() -> Iterator[Callable[[str], None]]:
     """Yield a function that shows the current stage of a long computation on standard error.

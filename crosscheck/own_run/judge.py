@@ -21,7 +21,7 @@ from crosscheck.own_run.remedies import MeasuredRemedy, find_remedies
 from crosscheck.own_run.stability import ModeAtFault, ModelChange, Stability, model_changes
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.reading.file_run import INTEGRATOR, TIME_STEP, Event, FileRun, FileSimulation
+from newton_euler.reading.file_run import OF_UNSTABLE_MODES, CauseName, Event, FileRun, FileSimulation
 
 STATES = 8
 """Number of states of the run at which the fastest mode is sought."""
@@ -40,14 +40,14 @@ class MeasuredCause:
     """One property of the settings and the error that it causes alone.
 
     Attributes:
-        name: the property, such as "time step".
+        name: the property.
         error: difference of a run from a run without the error of the property.
         brings_back: whether the run completes without the property; False if the judged run does.
         is_choice: whether the other run has another choice, such as another integrator, with an error of its
             own; False if it is more exact.
     """
 
-    name: str
+    name: CauseName
     error: RunError
     brings_back: bool = False
     is_choice: bool = False
@@ -239,7 +239,7 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
         )
         harmless = tuple(name for name in tested if name not in {cause.name for cause in causes})
         remedies = tuple(find_remedies(compared, run, error))
-        if run.stopped or (causes and causes[0].name in (TIME_STEP, INTEGRATOR)):
+        if run.stopped or (causes and causes[0].name in OF_UNSTABLE_MODES):
             stability, changes = _stability(compared, run)
     output_times = compared.reference.time.tolist()
     return Judgement(

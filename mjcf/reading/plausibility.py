@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from newton_euler.reading.import_report import Finding
+from newton_euler.reading.import_report import Finding, Mistake
 from newton_euler.scalars import Array
 
 MAX_MESH_DIFFERENCE = 0.05
@@ -72,7 +72,7 @@ def mesh_findings(model: Any) -> Iterator[Finding]:
                 percent = 100.0 * deviations[int(np.argmax(np.abs(deviations)))]
                 more = "" if what == "surface" else f", and the volume is {volume_ratio:.3g} times its"
                 yield Finding(
-                    name="mesh-inertia",
+                    name=Mistake.MESH_INERTIA,
                     element=f"body {name!r}",
                     what=f"its inertia is that of its mesh's {what}: a principal moment by mass is "
                     f"{percent:+.0f} % different from the mesh itself{more}",
@@ -204,7 +204,7 @@ def key_findings(model: Any, sizes: Mapping[int, Mapping[str, int]]) -> Iterator
             if count is not None and count < wanted:
                 label = model.key(key).name or str(key)
                 yield Finding(
-                    name="short-keyframe",
+                    name=Mistake.SHORT_KEYFRAME,
                     element=f"keyframe {label!r}",
                     what=f"{name} has {count} numbers, the model {wanted}",
                     consequence="MuJoCo sets the other numbers to 0",

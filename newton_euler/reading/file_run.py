@@ -12,6 +12,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any, Generic, Protocol, TypeVar
 
 from newton_euler.model.scene import Scene
@@ -32,9 +33,24 @@ class Settings(Protocol):
 SettingsT = TypeVar("SettingsT", bound=Settings)
 """Type of an engine's settings (time step, integrator, solver); one class for each engine."""
 
-TIME_STEP, INTEGRATOR = "time step", "integrator"
-"""Names of causes of errors (`Cause.name`) that may be due to an unstable mode: an oscillation of the model
-that is too fast for the time step."""
+
+class CauseName(StrEnum):
+    """Property of a file's settings that can cause an error of a run."""
+
+    TIME_STEP = "time step"
+    INTEGRATOR = "integrator"
+    SOFT_CONSTRAINTS = "soft constraints"
+    SOLVER_ITERATIONS = "solver iterations"
+    SLEEP = "sleep"
+    """Mechanisms at rest are not simulated."""
+    EXPLICIT_DAMPING = "explicit damping"
+    PROXIMAL_ITERATIONS = "proximal iterations"
+    BAUMGARTE = "Baumgarte stabilization"
+
+
+OF_UNSTABLE_MODES = (CauseName.TIME_STEP, CauseName.INTEGRATOR)
+"""Causes of errors that may be due to an unstable mode: an oscillation of the model that is too fast for the
+time step."""
 
 
 CONTACT_OF = "contact of "
@@ -101,14 +117,14 @@ class Cause(Generic[SettingsT]):
     settings `without`, which do not have it.
 
     Attributes:
-        name: the property, such as `TIME_STEP`.
+        name: the property.
         without: the settings `against`, changed so that the error of the property disappears.
         against: settings with the error of the property; None for the settings of the file.
         is_choice: True if `without` is another choice, such as another integrator, which may also be worse;
             False if it is more exact, such as a smaller time step.
     """
 
-    name: str
+    name: CauseName
     without: SettingsT
     against: SettingsT | None = None
     is_choice: bool = False

@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from typing import Any, Literal
 
 from newton_euler.equations.loop_closure import MovedStart
@@ -85,19 +86,35 @@ class ImportedElement:
         return f"{self.element}: {self.fate}: {self.account}"
 
 
+class Mistake(StrEnum):
+    """Kind of a likely mistake in a model file."""
+
+    IMPOSSIBLE_INERTIA = "impossible-inertia"
+    INERTIA_TOO_LARGE = "inertia-too-large"
+    INERTIA_TOO_SMALL = "inertia-too-small"
+    CENTER_OUTSIDE = "center-outside"
+    MASS_TOO_LARGE = "mass-too-large"
+    MASS_TOO_SMALL = "mass-too-small"
+    TWINS_DIFFER = "twins-differ"
+    MESH_INERTIA = "mesh-inertia"
+    SHORT_KEYFRAME = "short-keyframe"
+    PARSER_MESSAGE = "parser-message"
+    UNREAD_LOOPS = "unread-loops"
+
+
 @dataclass(frozen=True)
 class Finding:
     """Likely mistake in a model file. Readers do not correct it: every engine simulates the file as it is.
 
     Attributes:
-        name: kind of the mistake, such as "mass-too-large".
+        name: kind of the mistake.
         element: element at fault, such as "body 'hip'".
         what: the wrong number and the number that it is compared with.
         consequence: effect of the mistake on the motion.
         remedy: next step for the author of the file.
     """
 
-    name: str
+    name: Mistake
     element: str
     what: str
     consequence: str

@@ -18,7 +18,7 @@ from newton_euler.errors import listed
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.geometry import Box, Capsule, Cylinder, Mesh, Shape, Sphere
 from newton_euler.model.mechanism import REALISABLE_TOLERANCE, Body, Mechanism
-from newton_euler.reading.import_report import Finding
+from newton_euler.reading.import_report import Finding, Mistake
 from newton_euler.scalars import Array
 
 MAX_GYRATION = 2.0
@@ -148,7 +148,7 @@ def impossible_inertia(each: MeasuredBody, mechanism: Mechanism) -> Iterator[Fin
     a, b, c = each.moments
     if a + b < c * (1.0 - REALISABLE_TOLERANCE):
         yield Finding(
-            name="impossible-inertia",
+            name=Mistake.IMPOSSIBLE_INERTIA,
             element=each.element,
             what=f"principal moments {a:.3g}, {b:.3g} and {c:.3g} kg m^2: {a:.3g} + {b:.3g} < {c:.3g}",
             consequence="no rigid body has this inertia, and its rotation is not physical",
@@ -168,7 +168,7 @@ def large_inertia(each: MeasuredBody, mechanism: Mechanism) -> Iterator[Finding]
             what = f"an inertia of 1 kg m^2 about all axes, the value of a placeholder: {what}"
         slowness = (each.gyration / extent) ** 2
         yield Finding(
-            name="inertia-too-large",
+            name=Mistake.INERTIA_TOO_LARGE,
             element=each.element,
             what=what,
             consequence=f"it turns {slowness:.3g} times as slowly as a body of that size, or slower",
@@ -183,7 +183,7 @@ def small_inertia(each: MeasuredBody, mechanism: Mechanism) -> Iterator[Finding]
     extent = 0.5 * float(np.max(each.box[1] - each.box[0]))
     if 0.0 < each.gyration < MIN_GYRATION * extent:
         yield Finding(
-            name="inertia-too-small",
+            name=Mistake.INERTIA_TOO_SMALL,
             element=each.element,
             what=f"a radius of gyration of {each.gyration:.3g} m, "
             f"where its geometry is {2.0 * extent:.3g} m long",
@@ -216,7 +216,7 @@ def distant_center(each: MeasuredBody, mechanism: Mechanism) -> Iterator[Finding
     distance = float(np.linalg.norm(np.maximum(0.0, np.maximum(low - center, center - high))))
     if distance > MAX_CENTER_DISTANCE * diagonal > 0.0:
         yield Finding(
-            name="center-outside",
+            name=Mistake.CENTER_OUTSIDE,
             element=each.element,
             what=f"its center of mass is {distance:.3g} m from its geometry and joints, "
             f"{diagonal:.3g} m large",
@@ -240,7 +240,7 @@ def dense_body(each: MeasuredBody, mechanism: Mechanism) -> Iterator[Finding]:
         and each.body.mass > MAX_DENSITY * volume
     ):
         yield Finding(
-            name="mass-too-large",
+            name=Mistake.MASS_TOO_LARGE,
             element=each.element,
             what=f"{each.body.mass:.3g} kg in a box of {volume:.3g} m^3 around its geometry: "
             f"{each.body.mass / volume:.3g} kg/m^3",
@@ -254,7 +254,7 @@ def light_body(each: MeasuredBody, heaviest: MeasuredBody) -> Iterator[Finding]:
     mass, most = each.body.mass, heaviest.body.mass
     if 0.0 < mass < MIN_MASS_SHARE * most:
         yield Finding(
-            name="mass-too-small",
+            name=Mistake.MASS_TOO_SMALL,
             element=each.element,
             what=f"{mass:.3g} kg, {mass / most:.1g} of the {most:.3g} kg of {heaviest.element}",
             consequence="motions lose digits, and small steps are needed",
@@ -309,7 +309,7 @@ def unlike_twins(bodies: list[MeasuredBody]) -> Iterator[Finding]:
         problem = _twin_difference(one, two, reflection, plane)
         if problem:
             yield Finding(
-                name="twins-differ",
+                name=Mistake.TWINS_DIFFER,
                 element=f"bodies {one.body.name!r} and {two.body.name!r}",
                 what=problem,
                 consequence="the two sides move differently",

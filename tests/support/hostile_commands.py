@@ -56,6 +56,7 @@ WHOLE: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "diff": (("model.xml", "model.xml"), REFUSED_LATER),
     "drives": (("scene.json",), ("--catalog", "catalog.csv", *REFUSED_LATER)),
     "engine-check": (("newton_euler",), ("--output", "new")),
+    "explain": (("drift",), ()),
     "faults": (("scene.json",), REFUSED_LATER),
     "figures": ((), REFUSED_LATER),
     "identify": (("scene.json", "motion.csv"), ("--fit", "crank.mass", "--output", "new")),

@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-from newton_euler.reading.import_report import Finding, ImportReport
+from newton_euler.reading.import_report import Finding, ImportReport, Mistake
 
 
 def report_complaints(messages: Sequence[str], report: ImportReport) -> None:
@@ -26,7 +26,7 @@ def report_complaints(messages: Sequence[str], report: ImportReport) -> None:
     if complaints:
         report.findings.append(
             Finding(
-                name="parser-message",
+                name=Mistake.PARSER_MESSAGE,
                 element="the file",
                 what=f"Pinocchio's parser prints {len(complaints)} messages, the first is "
                 f"{complaints[0]!r:.200}",

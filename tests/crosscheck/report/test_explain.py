@@ -1,0 +1,121 @@
+"""Explanations: every kind that commands print has one, and no text is of a kind that does not exist."""
+
+from __future__ import annotations
+
+import pytest
+from command_line import run
+
+from crosscheck.compare.check import LEVELS, READING, REFERENCE
+from crosscheck.compare.diagnosis import FAULTS
+from crosscheck.compare.levels import compare, reading_checks
+from crosscheck.compare.outcome import ExitStatus, Outcome
+from crosscheck.differences.difference import Quantity, Standing
+from crosscheck.engines.registry import ENGINES
+from crosscheck.loading.importers import Failure
+from crosscheck.loading.load import load_scene
+from crosscheck.own_run.allowed import ErrorKind
+from crosscheck.own_run.errors import Band
+from crosscheck.report.explain import TOPICS, explain, explanation_markdown, read_topic
+from crosscheck.studies.conformance.check import Result
+from crosscheck.support.errors import CrosscheckError
+from newton_euler.reading.file_run import CauseName
+from newton_euler.reading.import_report import FATES, Mistake
+
+KINDS = {
+    "levels": {*LEVELS, REFERENCE},
+    "faults": set(FAULTS),
+    "verdicts": {each.value for each in Outcome},
+    "statuses": {f"exit status {each}" for each in ExitStatus},
+    "accuracy": {each.value for each in Band},
+    "own_run_causes": {each.value for each in CauseName},
+    "errors": {each.value for each in ErrorKind},
+    "fates": set(FATES),
+    "findings": {each.value for each in Mistake},
+    "standings": {each.value for each in Standing},
+    "differences": {each.value for each in Quantity},
+    "importers": {each.value for each in Failure},
+    "conformance": {each.value for each in Result},
+}
+"""Kinds by topic of the explanations; those of checks are found in a comparison."""
+
+EVERYTHING = """
+<mujoco><option timestep="0.001"/>
+  <worldbody>
+    <body name="crank"><joint name="motor" axis="0 1 0" armature="0.01" damping="0.1" stiffness="1"
+        frictionloss="0.1" range="-40 40" limited="true"/>
+      <geom type="capsule" fromto="0 0 0 0 0 0.1" size="0.01" contype="0" conaffinity="0"/>
+      <body name="coupler" pos="0 0 0.1"><joint name="elbow" axis="0 1 0"/>
+        <geom type="capsule" fromto="0 0 0 0.3 0 0.15" size="0.01" contype="0" conaffinity="0"/>
+        <site name="a" pos="0.3 0 0.15"/></body></body>
+    <body name="rocker" pos="0.3 0 0"><joint name="pivot" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 0 0 0.25" size="0.01" contype="0" conaffinity="0"/>
+      <site name="b" pos="0 0 0.25"/></body>
+  </worldbody>
+  <equality><connect site1="a" site2="b"/></equality>
+  <actuator><position joint="motor" kp="2" forcerange="-3 3"/></actuator>
+</mujoco>
+"""
+"""Model that has each kind of check."""
+
+
+def names(topic: str) -> list[str]:
+    """The names that a topic explains."""
+    return [each.name for each in read_topic(topic).explanations]
+
+
+@pytest.mark.parametrize("topic", KINDS)
+def test_each_kind_has_one_explanation(topic):
+    assert sorted(names(topic)) == sorted(KINDS[topic])
+
+
+def test_each_check_has_an_explanation_and_each_explained_check_exists(tmp_path):
+    path = tmp_path / "everything.xml"
+    path.write_text(EVERYTHING)
+    options = {"duration": "0.02", "friction": "regularized", "limits": "compliant"}
+    scene, report = load_scene(str(path), options, verified=False)
+    engines = list(ENGINES.values())[:2]
+    runs = {engine.name: engine.simulate(scene) for engine in engines}
+    checks = [*reading_checks(engines, report), *compare(scene, engines, runs, states=1)]
+    assert {check.level for check in checks} == set(LEVELS)
+    explained = {each.name for check in checks for _, each in explain(check.quantity)}
+    assert explained >= {*names("checks"), *names("reading_checks")}
+    # a name of `reading_checks` is that of a check of this level
+    of_reading = {each.name for c in checks if c.level == READING for _, each in explain(c.quantity)}
+    assert of_reading >= set(names("reading_checks"))
+
+
+@pytest.mark.parametrize("topic", TOPICS)
+def test_names_are_found_whatever_their_spelling(topic):
+    for each in read_topic(topic).explanations:
+        assert each.meaning
+        for spelling in (each.name, each.name.upper(), each.name.replace(" ", "_"), *each.also):
+            assert each in [found for _, found in explain(spelling)]
+
+
+@pytest.mark.parametrize(
+    ("given", "name"),
+    [("positions until 0.3744 s, m", "positions"), ("mass, rel", "mass"), ("Accelerations", LEVELS[4])],
+)
+def test_quantities_are_found_with_their_units(given, name):
+    assert name in {each.name for _, each in explain(given)}
+
+
+def test_an_unknown_name_gets_similar_ones():
+    with pytest.raises(CrosscheckError, match="'soft constraints'") as caught:
+        explain("soft constrants")
+    assert "'drift'" not in str(caught.value)
+
+
+def test_the_command_lists_all_names_and_explains_one(capsys):
+    status, out, _ = run(capsys, "explain")
+    assert status == 0
+    assert all(name in out for topic in TOPICS for name in names(topic))
+    status, out, _ = run(capsys, "explain", "soft", "constraints")
+    assert status == 0
+    assert out.startswith("soft constraints (")
+
+
+def test_the_page_has_a_heading_for_each_name():
+    lines = list(explanation_markdown())
+    headings = [line.split("\n")[0].removeprefix("### ") for line in lines if line.startswith("### ")]
+    assert headings == [name for topic in TOPICS for name in names(topic)]
