@@ -82,7 +82,7 @@ def test_recordings(tracker, scene):
 def test_the_page(tracker, monkeypatch):
     taken = lambda rrd, moments, view: [b""] * len(moments)  # noqa: E731
     monkeypatch.setattr("crosscheck.recording.screenshot.screenshots", taken)
-    page = write_report(tracker[1], lambda _: None)
+    page = write_report(tracker[1], lambda _: None).path
     for picture in PAGES:
         assert made_from(f"{picture}.png") == digest(page_words(page.read_text())), f"{picture}.png {STALE}"
 

@@ -126,7 +126,7 @@ def compare_and_show(
         described["source"] = name
     contents = as_json(numbers, found), summary, sarif(comparison)
     write_files(dict(zip(paths, contents, strict=True)))
-    page = write_report(folder, lambda _: None)
+    page = write_report(folder, lambda _: None).path
     # the quantity of the first row, whose effect is the largest
     quantities = [row.quantity.value for row in comparison.differences[:1]]
     show(found, *explanation_steps(*quantities), f"wrote {', '.join(map(str, [page, *paths]))}")

@@ -10,6 +10,7 @@ another model.
 
 from __future__ import annotations
 
+import sys
 import time
 from pathlib import Path
 
@@ -34,7 +35,7 @@ from crosscheck.cli.shared import (
     verbose_option,
     warn_about_import,
 )
-from crosscheck.report.render import as_json, terminal
+from crosscheck.report.render import as_json, terminal, wrapped
 from crosscheck.support.errors import CrosscheckError
 
 
@@ -242,6 +243,8 @@ def report_command(folder: Path) -> int:
 
     check_finished(folder)
     with progress_shown() as progress:
-        path = write_report(folder, progress)
-    say(f"wrote {path}")
+        page = write_report(folder, progress)
+    say(f"wrote {page.path}")
+    for sentence in page.missing:
+        click.echo(wrapped(f"note: {sentence}", sys.stderr), err=True)
     return AGREE

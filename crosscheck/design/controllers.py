@@ -23,6 +23,7 @@ from crosscheck.engines.registry import choose
 from crosscheck.engines.usable import Reasons, failure, require_scene
 from crosscheck.library import SCENES, load
 from crosscheck.library.options import options_of
+from crosscheck.report.chart import Measure, log_chart
 from crosscheck.report.render import as_json
 from crosscheck.report.table import (
     Cell,
@@ -234,7 +235,24 @@ def report(source: str, rows: Sequence[ControllerRun], missing: Sequence[str]) -
     title = f"{Path(source).stem}: {count}, {', '.join(names)}"
     length, _ = UNITS[first.kind]
     verdict = f"smallest tracking error {first.performance.error_rms:.3g} {length}: {first.controller}"
-    return Report(title, verdict, Cell(""), [*tables], summary=[*tables])
+    errors = [
+        Measure(f"{row.controller}, {row.engine}", error, f"{error:.3g} {length}")
+        for row in rows
+        if row.kind == first.kind
+        for error in [row.performance.error_rms]
+    ]
+    steps = [f"Compare effort and energy, too, before you choose {first.controller}: the table has both."]
+    if missing:
+        steps.append("Leave out engines that cannot make a run with `--engines`; the notes have the reasons.")
+    return Report(
+        title,
+        verdict,
+        Cell(""),
+        [*tables],
+        summary=[*tables],
+        charts=log_chart("Tracking error", f"Root mean square over time, {first.kind}", errors, length),
+        next_steps=steps,
+    )
 
 
 def write(

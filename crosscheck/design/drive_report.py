@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
+from crosscheck.compare.outcome import Verdict
+from crosscheck.report.chart import BarChart, Measure, log_chart
 from crosscheck.report.table import (
     Cell,
     Column,
@@ -122,7 +124,46 @@ def drive_report(found: DriveResults) -> Report:
     if found.notes:
         summary.append(Lines("", list(found.notes)))
     in_full: list[Part] = [_limits(found, motion) for motion in found.motions]
-    return Report(title, verdict, judged, in_full, summary=summary)
+    return Report(
+        title,
+        verdict,
+        judged,
+        in_full,
+        summary=summary,
+        charts=[chart for motion in found.motions for chart in _margin_chart(found, motion)],
+        captions={"drives.png": "Torque of each motor over time, and its limits of force and speed"},
+        next_steps=_next_steps(found),
+    )
+
+
+def _margin_chart(found: DriveResults, motion: ActuatorMotion) -> list[BarChart]:
+    """Make the chart of the most loaded limit of each drive for an actuator."""
+    measures = []
+    for drive in found.drives:
+        sized = found.sized[drive.name, motion.name]
+        if sized.mismatch or not sized.limits:
+            continue
+        needed = 1.0 - min(limit.margin for limit in sized.limits)
+        judged: Verdict = "fails" if found.requirements.failing(sized) else "holds"
+        measures.append(Measure(drive.name, 100.0 * needed, f"{100.0 * needed:.0f} %", 100.0, judged))
+    caption = "Load of each drive at its most loaded limit, in % of the limit, which is the mark"
+    return log_chart(f"Drives for {motion.name}", caption, measures, "%")
+
+
+def _next_steps(found: DriveResults) -> list[str]:
+    """List what the reader can do with the comparison."""
+    steps = []
+    if found.unserved:
+        steps.append(
+            f"Add larger drives for {listed(found.unserved)} to {found.catalog}, or slow the motion down. "
+            "The column `verdict` names the first limit that fails."
+        )
+    if any(found.suitable(motion.name) for motion in found.motions):
+        steps.append("Choose among the drives that suit; the notes name the one with the least energy.")
+    return [
+        *steps,
+        "Require a margin with `--margin`, and holding without power with `--must-hold`.",
+    ]
 
 
 def _choice(found: DriveResults, actuator: str) -> str:

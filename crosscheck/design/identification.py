@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from crosscheck.report.chart import Measure, linear_chart
 from crosscheck.report.table import (
     Cell,
     Column,
@@ -48,7 +49,31 @@ def report(found: Identification) -> Report:
     if lines := [*found.doubts, *found.notes, *_correlated(found)]:
         parts.append(Lines("", lines))
     # `fit`: line of text with the reduced chi and its probability
-    return Report(title, found.fit, _judged(found), parts, summary=parts)
+    misfits = [Measure(name, value, f"{value:.3g}", mark=1.0) for name, value in found.misfits.items()]
+    caption = "RMS of the residuals of each measured column, divided by its noise; the mark is at 1"
+    return Report(
+        title,
+        found.fit,
+        _judged(found),
+        parts,
+        summary=parts,
+        charts=linear_chart("Residuals", caption, misfits, end=1.0),
+        next_steps=_next_steps(found),
+    )
+
+
+def _next_steps(found: Identification) -> list[str]:
+    """List what the reader can do with the fit."""
+    if found.is_wrong:
+        worst = max(found.misfits, key=lambda name: found.misfits[name])
+        return [
+            f"Do not use these values. Begin with {worst}, whose residuals are largest by its noise.",
+            "Fit further parameters with `--fit`, or correct the scene, the units or the noise.",
+        ]
+    steps = ["Do not use values that the notes doubt."] if found.doubts else []
+    if found.undetermined:
+        steps.append("Fix a parameter that the data do not identify, or measure a motion that excites it.")
+    return steps or ["Use the fitted values with their standard deviations; the file has all covariances."]
 
 
 def _judged(found: Identification) -> Cell:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from crosscheck.compare.activity import reduced_model_text
 from crosscheck.design.load_cases import UNNAMED_CASE
 from crosscheck.design.wind_validity import WindRange
+from crosscheck.report.chart import Measure, linear_chart
 from crosscheck.report.run import undetermined_lines
 from crosscheck.report.table import (
     Cell,
@@ -128,7 +129,28 @@ def load_report(
         parts.append(Lines("", [f"nothing moves in {where}: these are loads at rest{advice}"]))
     parts.extend(Lines("", [line, NOT_UNIQUE]) for line in undetermined_lines(scene))
     judged = Cell(text="", verdict="doubtful" if notes.acting else "")  # the color of the verdict
-    return Report(title, verdict, judged, parts, summary=parts)
+    forces = [
+        Measure(each.element, each.peak, f"{each.peak:.3g} N", verdict="")
+        for each in sorted(_loads_of(envelope, "force"), key=lambda each: -each.peak)
+        if each.peak > negligible
+    ]
+    chart = linear_chart("Forces at joints", "Largest force at each joint over all cases", forces)
+    steps = ["Multiply the loads by your safety factors; they have none."]
+    if notes.acting:
+        steps.insert(0, "Do not use the loads of times at which elements act that are not simulated.")
+    if at_rest:
+        steps.append("Run the cases in motion, too, if accelerations matter: these are loads at rest.")
+    steps.append("Bearings, tubes and actuators: `loads.csv` has every component, `cases.csv` each case.")
+    return Report(
+        title,
+        verdict,
+        judged,
+        parts,
+        summary=parts,
+        charts=chart,
+        captions={"loads.png": "Forces and torques at joints, and forces of actuators"},
+        next_steps=steps,
+    )
 
 
 def _case_lines(notes: CaseNotes, named: bool, at_rest: bool) -> list[Lines]:

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from crosscheck.design.coordinates import coordinate_of
+from crosscheck.report.chart import Measure, linear_chart
 from crosscheck.report.render import as_json, markdown_table
 from crosscheck.report.table import (
     Cell,
@@ -303,7 +304,22 @@ def report(found: ModalAnalysis) -> Report:
     is_doubtful = found.passage.beyond or (found.about == "pose" and not model.is_equilibrium)
     lines = Lines("", pose_lines(found), verdict="doubtful" if is_doubtful else "")
     summary: list[Part] = [table(scene.mechanism, modes), lines]
-    return Report(title, verdict, no_judgment, parts, summary=summary)
+    frequencies = [
+        Measure(f"mode {k + 1}", float(value), f"{value:.3g} Hz") for k, value in enumerate(modes.frequencies)
+    ]
+    caption = "Damped natural frequency of each mode; a mode that does not oscillate has none"
+    return Report(
+        title,
+        verdict,
+        no_judgment,
+        parts,
+        summary=summary,
+        charts=linear_chart("Frequencies", caption, frequencies),
+        next_steps=[
+            "Keep the frequencies of wind, motors and control away from those of the modes.",
+            *([] if model.is_equilibrium else ["Use them with care: the pose is no equilibrium."]),
+        ],
+    )
 
 
 def pose_lines(found: ModalAnalysis) -> list[str]:

@@ -20,6 +20,7 @@ import numpy as np
 from crosscheck.design.coordinates import coordinate_of
 from crosscheck.design.workspace_map import MAX_POINTS, WORLD_AXES, WorkspaceMap, measure
 from crosscheck.design.workspace_plots import picture
+from crosscheck.report.chart import Measure, linear_chart
 from crosscheck.report.render import as_json
 from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, number_columns
 from crosscheck.support.errors import CrosscheckError
@@ -114,7 +115,33 @@ def report(found: WorkspaceMap) -> Report:
     if found.left_out:
         text = f"overlap in the initial pose, so never examined: {pair_names(found.left_out)}"
         parts.append(Lines("", [text], verdict="doubtful"))
-    return Report(f"{found.scene.name}: workspace over {names}", verdict, judged, parts, summary=parts)
+    usable = int(np.sum(~found.collides))
+    counts = [Measure("reachable", reached, f"{reached} of {total}")]
+    if found.has_shapes:
+        counts.append(Measure("without collision", usable, f"{usable} of {total}"))
+    chart = linear_chart("Points", "Points of the grid of coordinates", counts, end=total)
+    return Report(
+        f"{found.scene.name}: workspace over {names}",
+        verdict,
+        judged,
+        parts,
+        summary=parts,
+        charts=chart,
+        captions={"workspace.png": "Map of the workspace over the varied coordinates"},
+        next_steps=_next_steps(found),
+    )
+
+
+def _next_steps(found: WorkspaceMap) -> list[str]:
+    """List what the reader can do with the workspace."""
+    if not len(found.clearance):
+        return ["Choose smaller ranges with `--vary`; they are relative to the initial pose, in m and rad."]
+    steps = []
+    if found.collides.any():
+        steps.append("Limit the strokes to points without collision: `workspace.csv` has each clearance.")
+    if np.any(found.space.poses.beyond):
+        steps.append("Stay before the singular configuration: `beyond singular` marks the points behind it.")
+    return [*steps, "Keep a distance from singular configurations: drives lose their effect there."]
 
 
 def _unusable_warning(found: WorkspaceMap) -> str:

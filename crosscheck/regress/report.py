@@ -17,6 +17,7 @@ from crosscheck.compare.activity import what_acted
 from crosscheck.compare.outcome import Outcome, Verdict
 from crosscheck.regress.compare import BaselineCheck, Comparison
 from crosscheck.report import render
+from crosscheck.report.chart import BarChart, Measure, log_chart
 from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table, number_columns, text_columns
 
 MAX_SHOWN_CHECKS = 12
@@ -134,7 +135,40 @@ def report(
         judged=Cell(result.value, result.judged),
         parts=[Lines("", lines), *tables(comparisons), *all_checks],
         wall_time=sum(comparison.wall_time for comparison in comparisons),
+        charts=_chart(comparisons),
+        next_steps=_next_steps(comparisons),
     )
+
+
+def _chart(comparisons: Sequence[Comparison]) -> list[BarChart]:
+    """Make the chart of the largest change of each scene, in % of its tolerance."""
+    measures = []
+    for comparison in comparisons:
+        worst = max((check.tolerance_ratio for check in comparison.checks), default=0.0)
+        percent = max(100.0 * worst, 0.1)  # smaller changes have equal bars
+        verdict: Verdict = "fails" if comparison.moved else "holds"
+        measures.append(Measure(comparison.scene, percent, f"{100.0 * worst:.3g} %", 100.0, verdict))
+    measures.sort(key=lambda each: -each.value)
+    caption = "Largest change of each scene, in % of its tolerance; the mark is the tolerance"
+    return log_chart("Changes", caption, measures, "%")
+
+
+def _next_steps(comparisons: Sequence[Comparison]) -> list[str]:
+    """List what the reader can do about moved values, missing engines and elements that act."""
+    steps = []
+    for comparison in comparisons:
+        if comparison.moved:
+            command = f"crosscheck regress {comparison.scene} --update REASON"
+            steps.append(
+                f"If the change of {comparison.scene} is intended, store it: `{command}`. If not, undo it."
+            )
+    if names := dict.fromkeys(name for comparison in comparisons for name in comparison.not_measured):
+        steps.append(f"Install {', '.join(names)} to measure the rest of the baselines.")
+    if any(comparison.acting for comparison in comparisons):
+        steps.append("Accept elements that act and are not simulated with `--allow-reduced`, or avoid them.")
+    if any(comparison.cheaper or comparison.more_accurate for comparison in comparisons):
+        steps.append("Store the improvement with `--update REASON`, so that a later loss shows.")
+    return steps or ["Nothing moved: there is nothing to do."]
 
 
 def as_json(

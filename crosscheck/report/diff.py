@@ -105,7 +105,13 @@ def report(comparison: FileComparison) -> Report:
         parts.append(long_table("differences", comparison, names))
     first, second = _titles(comparison)
     judged = Cell(outcome.value, outcome.judged)
-    return Report(f"{first} and {second}", verdict(comparison), judged, parts, summary=short)
+    steps = [
+        f"Decide which file is right in row {number}: {sentence(row, FILES)}."
+        for number, row in enumerate(different[:3], start=1)
+    ]
+    steps = steps or ["Use either file: there is no difference that you have to decide."]
+    title, result = f"{first} and {second}", verdict(comparison)
+    return Report(title, result, judged, parts, summary=short, next_steps=steps)
 
 
 def short_table(title: str, rows: Sequence[Difference], sides: Sides) -> Table:

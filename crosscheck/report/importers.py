@@ -9,6 +9,7 @@ from pathlib import Path
 from crosscheck.compare.outcome import Outcome
 from crosscheck.differences.importers import ImporterComparison, ImportersComparison
 from crosscheck.loading.importers import OWN, Failure, importers
+from crosscheck.report.chart import Measure, linear_chart
 from crosscheck.report.diff import long_table, motion_text, sentence, short_table
 from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table, text_columns
 from newton_euler.errors import DISTRIBUTION
@@ -37,7 +38,38 @@ def report(comparison: ImportersComparison) -> Report:
     outcome = comparison.outcome
     title = f"{Path(comparison.source).name}: the robot that each importer reads"
     verdict = f"{outcome.value}: {_verdict(comparison)}"
-    return Report(title, verdict, Cell(outcome.value, outcome.judged), parts, summary=short)
+    counts = [
+        Measure(
+            _name(each.reading.importer),
+            len(each.differences),
+            str(each.result),
+            verdict="fails" if isinstance(each.result, Failure) else each.result.judged,
+        )
+        for each in comparison.others
+    ]
+    return Report(
+        title,
+        verdict,
+        Cell(outcome.value, outcome.judged),
+        parts,
+        summary=short,
+        charts=linear_chart("Differences", "Number of differences from the reference reading", counts),
+        next_steps=_next_steps(comparison),
+    )
+
+
+def _next_steps(comparison: ImportersComparison) -> list[str]:
+    """List what the reader can do about importers that read another robot, or none."""
+    steps = []
+    for each in comparison.others:
+        name = each.reading.importer
+        if each.result is Failure.NOT_INSTALLED:
+            steps.append(f"Install {name} to compare it, too.")
+        elif isinstance(each.result, Failure):
+            steps.append(f"Change what {name} cannot read: {each.reading.message}.")
+        elif each.differences:
+            steps.append(f"Rewrite what {name} reads differently; its table lists the differences.")
+    return steps or ["Use the file with any of these importers: they read the same robot."]
 
 
 def _verdict(comparison: ImportersComparison) -> str:

@@ -113,11 +113,14 @@ def _lines(
     if judgement.stability is not None:
         for k, line in enumerate(_stability(judgement.stability)):
             yield f"  {'mode' if k == 0 else '':<7} {line}"
-    # other settings, and changes of the model with which the time step is stable
-    fixes = [_remedy(remedy, _by_position(judgement, remedy.error)) for remedy in judgement.remedies]
-    fixes += [_model_change(change) for change in judgement.changes]
-    for k, fix in enumerate(fixes):
+    for k, fix in enumerate(fix_texts(judgement)):
         yield f"  {'fix' if k == 0 else '':<7} {fix}"
+
+
+def fix_texts(judgement: Judgement) -> list[str]:
+    """Format settings with a smaller error, and changes of the model with which the time step is stable."""
+    settings = [_remedy(remedy, _by_position(judgement, remedy.error)) for remedy in judgement.remedies]
+    return settings + [_model_change(change) for change in judgement.changes]
 
 
 def allowed_lines(judgement: Judgement, allowed: Sequence[AllowedError]) -> Iterator[str]:

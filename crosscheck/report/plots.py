@@ -1,4 +1,4 @@
-"""Draw the runs of a crosscheck: run times, differences from the first engine, drift and energies.
+"""Draw the runs of a crosscheck: differences from the first engine, drift and energies.
 
 A crosscheck simulates one model in several engines (simulators). In: the arrays of the runs that
 `crosscheck run` stored, by engine. Out: pictures (PNG) with captions.
@@ -17,7 +17,6 @@ from crosscheck.compare.check import CONSTRAINT_VIOLATION, POSES
 from crosscheck.engines.engine import OTHER_LINE
 from crosscheck.engines.palette import line_of, palette
 from crosscheck.own_run.allowed import OWN_RUN
-from crosscheck.report.table import seconds
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.scalars import Array
 
@@ -33,13 +32,6 @@ SOLID = ("-", 1.6)
 
 MIN_LOG_VALUE = 1e-18
 """Smallest value on logarithmic axes; smaller values, also zero, are replaced by this one."""
-
-LEFT_MARGIN, RIGHT_MARGIN = 3.0, 60.0
-"""Factors of the logarithmic axis of run times: the axis begins at the shortest run time divided by the first
-factor, and ends at the longest run time times the second, which leaves space for labels."""
-
-SPEED_CAPTION = "Run time of each engine at its defaults, less is faster; at equal errors: crosscheck bench"
-"""Caption of the bar chart of run times."""
 
 Runs = Mapping[str, Mapping[str, Array]]
 """Arrays of `Trajectory.arrays`, by engine and by name; other engines are compared with the first."""
@@ -71,46 +63,6 @@ def own_style() -> Iterator[None]:
 
     with style.context("default"):
         yield
-
-
-def speed(costs: Mapping[str, tuple[float | None, float | None]]) -> Iterator[tuple[bytes, str]]:
-    """Draw a bar chart of run times, labeled with the errors; nothing if there are no run times.
-
-    Args:
-        costs: by engine, run time, s, and error, the larger number of m and rad, against a more accurate
-            reference run; None if unknown.
-
-    Yields:
-        A picture (PNG) and its caption.
-    """
-    names = [name for name, (time, _) in costs.items() if time]
-    if not names:
-        return
-    times, errors = zip(*(costs[name] for name in names), strict=True)
-    labels = [
-        seconds(time) + (f", off by {error:.0e}" if error else "")
-        for time, error in zip(times, errors, strict=True)
-    ]
-    colors = [palette(list(costs))[name] for name in names]
-    yield png(_bars(names, times, labels, colors)), SPEED_CAPTION
-
-
-@own_style()
-def _bars(
-    names: Sequence[str], times: Sequence[float], labels: Sequence[str], colors: Sequence[str]
-) -> Figure:
-    """Draw a horizontal bar with a label and a color for each run time, s."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(4.8, 0.9 + 0.45 * len(names)), layout="constrained")
-    ax = figure.add_subplot()
-    bars = ax.barh(names, times, color=colors, height=0.6)
-    ax.bar_label(bars, labels, padding=4)
-    # a logarithmic axis has no zero at which bars could begin
-    ax.set(xscale="log", xlim=(min(times) / LEFT_MARGIN, max(times) * RIGHT_MARGIN), xlabel="run time, s")
-    ax.invert_yaxis()
-    ax.spines[["top", "right"]].set_visible(False)
-    return figure
 
 
 def pictures(runs: Runs, tolerances: Tolerances) -> Iterator[tuple[bytes, str]]:

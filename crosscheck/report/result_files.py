@@ -14,18 +14,6 @@ from crosscheck.differences.shapes import Shapes
 from crosscheck.report.table import Report
 
 
-class EngineCost(BaseModel):
-    """Run time and error of an engine's run.
-
-    Attributes:
-        wall_time: run time, s; None if the engine did not run.
-        error: error of the run, the larger number of m and rad; None if unknown.
-    """
-
-    wall_time: float | None = None
-    error: float | None = None
-
-
 class CheckTolerance(BaseModel):
     """Tolerance of a check.
 
@@ -59,6 +47,16 @@ class ResultFile(BaseModel):
         """Raise `ValueError` for a wall time that is negative or not finite."""
         if report.wall_time is not None and not 0.0 <= report.wall_time < math.inf:
             raise ValueError("wall_time is no time in seconds")
+        return report
+
+    @field_validator("report")
+    @classmethod
+    def _check_charts(cls, report: Report) -> Report:
+        """Raise `ValueError` for a bar or a mark that is not on the axis of its chart."""
+        for chart in report.charts:
+            for bar in chart.bars:
+                if not all(0.0 <= place <= 100.0 for place in (bar.length, bar.mark or 0.0)):
+                    raise ValueError(f"bar {bar.label!r:.100} is not from 0 to 100 % of its axis")
         return report
 
     @field_validator("files")
@@ -104,13 +102,11 @@ class CrosscheckFile(ResultFile):
     """The fields of a crosscheck's result file that a page needs.
 
     Attributes:
-        engines: run time and error by engine.
         checks: checks whose tolerances are drawn in the plots.
         own_run: error of the run with the settings of the file, if it was judged.
         logs: errors of logs by name.
     """
 
-    engines: dict[str, EngineCost] = {}
     checks: list[CheckTolerance] = []
     own_run: JudgedRun | None = None
     logs: dict[str, JudgedRun] = {}

@@ -29,6 +29,7 @@ from crosscheck.own_run.allowed import OWN_RUN
 from crosscheck.own_run.judge import Judgement
 from crosscheck.report import render
 from crosscheck.report.own_run import own_run_cases
+from crosscheck.report.run_page import charts, next_steps
 from crosscheck.report.summary import are_loops_closed, are_velocities_changed, judged_runs, summary
 from crosscheck.report.table import (
     Cell,
@@ -90,6 +91,8 @@ def report(result: EngineComparison) -> Report:
         parts=parts,
         wall_time=result.wall_time,
         summary=summary(result, limits, other_notes),
+        charts=charts(result),
+        next_steps=next_steps(result),
     )
 
 

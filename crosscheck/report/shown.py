@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
-from crosscheck.report.page import rendered
 from crosscheck.report.render import terminal, wrapped
 from crosscheck.report.table import Report
+from crosscheck.report.template import rendered
 
 
 class Shown(ABC):

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from crosscheck.compare.outcome import Verdict
+from crosscheck.report.chart import BarChart
 from crosscheck.support.units import SECONDS_AND_MS, quantity_text
 
 
@@ -120,8 +121,12 @@ class Report:
         judged: the result in one word such as "AGREE", with its judgment.
         parts: tables and sentences, in order; the terminal shows them with `--verbose`.
         wall_time: run time of the command, s; None if it was not measured.
-        summary: short tables and sentences, which the terminal always shows last. Pages show the summary and,
-            on demand, `parts`; without a summary, they show `parts`.
+        summary: short tables and sentences, which the terminal always shows last. Pages show them on demand,
+            before the `parts` that are not among them.
+        charts: bar charts, which pages show below the verdict.
+        captions: caption of each picture (PNG) that the command wrote, by the name of the file.
+        next_steps: what the reader can do with the result, a sentence each, in which commands and names of
+            files are between backticks; pages show them below the pictures.
     """
 
     title: str
@@ -130,12 +135,27 @@ class Report:
     parts: list[Part]
     wall_time: float | None = None
     summary: list[Part] = field(default_factory=list)
+    charts: list[BarChart] = field(default_factory=list)
+    captions: dict[str, str] = field(default_factory=dict)
+    next_steps: list[str] = field(default_factory=list)
 
     @property
     def headline(self) -> tuple[str, str]:
         """Verdict, split into the words in capitals at its beginning ("" if there are none) and the rest."""
         words, _, rest = self.verdict.partition(": ")
         return (words, rest) if words.isupper() else ("", self.verdict)
+
+    @property
+    def answer(self) -> tuple[str, str]:
+        """Verdict for pages: the word of the result in capitals ("" if there is none), and a sentence."""
+        word, sentence = self.headline
+        return word or self.judged.text.upper(), sentence
+
+    @property
+    def judgments(self) -> list[tuple[Verdict, str]]:
+        """Judged sentences of the summary with their judgments, such as the error of the file's settings."""
+        lines = [part for part in self.summary if isinstance(part, Lines) and part.verdict]
+        return [(part.verdict, part.lines[0]) for part in lines]
 
 
 def text_columns(*names: str) -> list[Column]:

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 
 from crosscheck.compare.outcome import Verdict
 from crosscheck.own_run.tune import SettingsSearch, Tried
+from crosscheck.report.chart import Measure, log_chart
 from crosscheck.report.own_run import chaos_text, percent, size, unsimulated_text
 from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, number_columns
 
@@ -32,7 +33,41 @@ def report(name: str, tuning: SettingsSearch) -> Report:
     title = f"{name}: settings of {tuning.engine} for an error of {percent(tuning.target)} of the motion"
     judged = Cell("", "holds" if found else "fails")
     # the report is short: its summary, which the terminal always shows, has all parts
-    return Report(title, _verdict(tuning), judged, parts, summary=parts)
+    errors = [
+        Measure(
+            label,
+            100.0 * tried.error.relative,
+            "diverged" if tried.stopped else percent(tried.error.relative),
+            100.0 * tuning.target,
+            "holds" if tried.reaches(tuning.target) else "fails",
+        )
+        for label, tried in [
+            ("your settings", tuning.own),
+            *((_settings(each), each) for each in tuning.tradeoff),
+        ]
+    ]
+    caption = "Error of each run in % of the motion, from cheap to accurate; the mark is your target"
+    return Report(
+        title,
+        _verdict(tuning),
+        judged,
+        parts,
+        summary=parts,
+        charts=log_chart("Errors", caption, errors, "%"),
+        next_steps=_next_steps(tuning),
+    )
+
+
+def _next_steps(tuning: SettingsSearch) -> list[str]:
+    """List what the reader can do with the settings."""
+    if tuning.found is None:
+        return ["Allow a larger error with `--error`, or a shorter run with `--set duration=SECONDS`."]
+    if not tuning.found.changes:
+        return ["Keep your settings: no cheaper ones reach the error."]
+    return [
+        "Paste the text below, under `paste into the model`, into your file.",
+        "Then run `crosscheck run` with the changed file to confirm the error.",
+    ]
 
 
 def _verdict(tuning: SettingsSearch) -> str:

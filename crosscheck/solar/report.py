@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from crosscheck.report.chart import Measure, linear_chart
 from crosscheck.report.table import (
     Cell,
     Column,
@@ -123,7 +124,39 @@ def day_report(day: Day, reach: Reach | None = None) -> Report:
     summary: list[Part] = [short_table, *common]
     title = f"{day.scene.name} on {day.sun.times[0]:%Y-%m-%d} at {day.place} ({day.sun.times.tz})"
     judged = Cell("not followed", "fails") if day.off_set_points.any() else Cell("followed", "holds")
-    return Report(title, verdict(day), judged, parts, day.run.wall_time, summary)
+    light = [
+        Measure(name, value, f"{1e-3 * value:.2f} kWh/m^2, {100.0 * value / day.light[FIXED]:.0f} %")
+        for name, value in day.light.items()
+    ]
+    caption = "Irradiation of the day by clear sky, in kWh/m^2 and in % of a fixed panel"
+    return Report(
+        title,
+        verdict(day),
+        judged,
+        parts,
+        day.run.wall_time,
+        summary,
+        charts=linear_chart("Light on the panel", caption, light),
+        captions={
+            "day.png": "Elevations, pointing errors, set-points, forces of actuators, and light over the day",
+            "reach.png": "Positions of the sun over the year that the panel can face, by azimuth and tilt",
+        },
+        next_steps=_next_steps(day),
+    )
+
+
+def _next_steps(day: Day) -> list[str]:
+    """List what the reader can do with the day."""
+    steps = []
+    if day.off_set_points.any():
+        steps.append("Increase the gains, shorten the moves, or stow the panel in weaker wind (`--stow`).")
+    if day.faced.replaced.any():
+        steps.append("Free the blocked directions by another clearance or shape; the details list bodies.")
+    return [
+        *steps,
+        "Send `set_points.csv` to the actuators; the assumptions describe the pose of zero set-points.",
+        "Choose the drives: `motion.csv` is the input of `crosscheck drives`.",
+    ]
 
 
 def verdict(day: Day) -> str:
@@ -283,4 +316,13 @@ def survey_report(days: Sequence[Day]) -> Report:
         Cell("followed", verdict="holds"),
         parts,
         summary=parts,
+        charts=linear_chart(
+            "Gain by facing the sun",
+            "Gain over a fixed panel at the latitude's tilt, in %",
+            [
+                Measure(f"{day.place}, {day.sun.times[0]:%Y-%m-%d}", max(gain, 0.0), f"{gain:.0f} %")
+                for day, gain in zip(days, gains, strict=True)
+            ],
+        ),
+        next_steps=["For a sum over all days and the weather of a place, run `crosscheck year`."],
     )

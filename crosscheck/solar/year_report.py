@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from crosscheck.report.chart import Measure, linear_chart
 from crosscheck.report.plots import own_style, png
 from crosscheck.report.render import as_json
 from crosscheck.report.table import (
@@ -59,9 +60,28 @@ def year_report(year: Year) -> Report:
     if year.notes:
         summary.append(Lines("", list(year.notes)))
     title = f"{year.scene.name} over a year at {year.weather.place}: {year.weather.source}"
+    light = [Measure(name, value, f"{value:.0f} kWh/m^2") for name, value in year.light.items()]
     return Report(
-        title, verdict(year), Cell("computed", verdict="holds"), [*summary, assumption_lines], summary=summary
+        title,
+        verdict(year),
+        Cell(""),
+        [*summary, assumption_lines],
+        summary=summary,
+        charts=linear_chart("Light on the panel", "Irradiation of the year, in kWh/m^2", light),
+        captions={"year.png": "Irradiation by month, and hours of each limit"},
+        next_steps=_next_steps(year),
     )
+
+
+def _next_steps(year: Year) -> list[str]:
+    """List what the reader can do with the year: the limit that costs most light comes first."""
+    texts = limit_texts(year)
+    lost = {limit: year.lost_by(limit) for limit in texts if limit not in (Limit.NONE, Limit.DOWN)}
+    worst = max(lost, key=lambda limit: lost[limit])
+    steps = ["Compare the gain with the price of the mechanism and its drives."]
+    if lost[worst] > 0.0:
+        steps.insert(0, f"Improve first what costs most light: {texts[worst]}, {lost[worst]:.1f} kWh/m^2.")
+    return steps
 
 
 def verdict(year: Year) -> str:

@@ -14,6 +14,7 @@ from itertools import groupby
 
 import numpy as np
 
+from crosscheck.report.chart import BarChart, Measure, linear_chart
 from crosscheck.report.table import (
     Cell,
     Column,
@@ -131,7 +132,49 @@ def report(found: Findings) -> Report:
     if len(failures) > MAX_PRINTED_REASONS:
         notes.append(f"{len(failures) - MAX_PRINTED_REASONS} more reasons of failed runs; -v prints all")
     summary.append(Lines("", notes))
-    return Report(title, found.verdict, found.judged, parts, swept.wall_time, summary)
+    return Report(
+        title,
+        found.verdict,
+        found.judged,
+        parts,
+        swept.wall_time,
+        summary,
+        charts=_charts(found),
+        captions={
+            "tornado.png": "Effect of each parameter on the outputs that vary most",
+            "histograms.png": "Distribution of the outputs over all runs",
+            "scatter.png": "Outputs over the parameters with the largest effects",
+        },
+        next_steps=_next_steps(found),
+    )
+
+
+def _charts(found: Findings) -> list[BarChart]:
+    """Make the chart of the effects of the parameters on the first analyzed number."""
+    for scalar, effects in found.effects:
+        if effects:
+            measures = [Measure(each.name, each.size, f"{100.0 * each.size:.0f} %") for each in effects]
+            caption = "Effect of each parameter: share of variance, or magnitude of the rank correlation"
+            return linear_chart(f"Effects on {scalar.label}", caption, measures, end=1.0)
+    return []
+
+
+def _next_steps(found: Findings) -> list[str]:
+    """List what the reader can do with the sweep."""
+    steps = []
+    if any(each.differs for each in found.checked):
+        steps.append(
+            "Find the cause of the disagreement first: `crosscheck run` with the parameters of that run."
+        )
+    if len(found.swept.failed_runs):
+        steps.append("Change the distributions so that all runs complete; the details have the reasons.")
+    first = next(((scalar, effects[0]) for scalar, effects in found.effects if effects), None)
+    if first:
+        scalar, effect = first
+        steps.append(f"To reduce the spread of {scalar.label}, begin with {effect.name}.")
+    if found.too_few:
+        steps.append("For more certain effects, repeat the command with a larger `--runs`.")
+    return steps or ["Vary other parameters: these have no effect on the kept outputs."]
 
 
 def _not_shown(found: Findings, printed: Sequence[KeptNumber]) -> list[str]:

@@ -40,7 +40,7 @@ def test_representations_are_short(verdict):
     assert "\n" not in repr(verdict)
     assert str(verdict).splitlines()[1] == repr(verdict)[1:-1]
     page = verdict._repr_html_()
-    assert '<strong class="holds">AGREE</strong><br>newton_euler, pinocchio ' in page
+    assert '<div class="answer holds"><b>AGREE</b><span>newton_euler, pinocchio ' in page
     assert page.count("<table") == 2
 
 

@@ -45,7 +45,8 @@ from crosscheck.recording.log import log_run
 from crosscheck.recording.screenshot import MECHANISM, screenshots
 from crosscheck.recording.stream import recorded
 from crosscheck.report import page
-from crosscheck.report.page import PAGE, key_times
+from crosscheck.report.entry import key_times
+from crosscheck.report.page import PAGE
 from crosscheck.studies.faults import injection
 from crosscheck.studies.paper_figures import FIGURES
 

@@ -93,6 +93,7 @@ def page_text(folder: str) -> str:
         printed("report", folder)
     html = (Path(folder) / PAGE).read_text()
     html = re.sub(r"(?s)<(style|script)\b.*?</\1>", "", html)
+    html = re.sub(r'(?<="number holds">)(?:&lt;)?[\d.]+ %(?=</td>)', "# %", html)  # bars of checks
     html = re.sub(r"</t[dh]>\s*", "  ", html)
     html = re.sub(r"(?s)<(?=figcaption|br)[^>]*>", "\n", html)
     text = unescape(re.sub(r"(?s)<[^>]*>", " ", html))

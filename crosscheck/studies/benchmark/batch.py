@@ -24,6 +24,7 @@ import numpy as np
 from crosscheck.engines.benchmarks import BatchEngine, CompletedBatch, poses_only
 from crosscheck.engines.engine import Engine
 from crosscheck.engines.registry import SOLVER
+from crosscheck.report.chart import BarChart, Measure, log_chart
 from crosscheck.report.table import Lines, Part, Rows, Table, number_columns, text_columns
 from crosscheck.studies.benchmark.batch_settings import TriedSetting, fastest_setting
 from crosscheck.studies.benchmark.reference import batch_references
@@ -281,3 +282,13 @@ def parts(result: BatchBenchmark) -> list[Part]:
             lines.append(f"{rate.engine}: {made}{failed}")
     lines += [f"{name} is missing: {reason}" for name, reason in result.missing.items()]
     return [table, Lines(title="", lines=lines)]
+
+
+def charts(result: BatchBenchmark) -> list[BarChart]:
+    """Make the chart of the throughput of each engine and number of threads."""
+    rates = [
+        Measure(f"{rate.engine}, {rate.threads} thread{'s' * (rate.threads != 1)}", rate.per_second, text)
+        for rate in result.rates
+        for text in [f"{rate.per_second:.4g} per s"]
+    ]
+    return log_chart("Throughput", f"Runs per second with an error of at most {result.error:g} m, rad", rates)

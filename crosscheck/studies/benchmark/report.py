@@ -16,6 +16,7 @@ import numpy as np
 
 from crosscheck.engines.palette import palette
 from crosscheck.engines.registry import SOLVER
+from crosscheck.report.chart import BarChart, Measure, log_chart
 from crosscheck.report.plots import own_style, png
 from crosscheck.report.table import Cell, Lines, Part, Rows, Table, number_columns, text_columns
 from crosscheck.studies.benchmark.reference import Reference
@@ -131,6 +132,13 @@ def verdict(result: Benchmark, error: float) -> str:
             longer = f", {rounded(m.ratio(baseline))} times as long"
         texts.append(f"{engine} takes {time_text(m.median)}{longer}")
     return f"to an error of {error:g} (m, rad): {'; '.join(texts)}"
+
+
+def charts(result: Benchmark, error: float) -> list[BarChart]:
+    """Make the chart of the time that each engine needs to reach an error, m and rad."""
+    fastest = [(engine, result.fastest_setting(engine, error)) for engine in result.engines]
+    times = [Measure(name, 1e3 * m.median, time_text(m.median)) for name, m in fastest if m]
+    return log_chart("Run times", f"Fastest run with an error of at most {error:g} m and rad", times, "ms")
 
 
 def summary(result: Benchmark, error: float) -> Iterator[Part]:

@@ -23,6 +23,7 @@ from functools import partial
 from crosscheck.engines.benchmarks import RightHandSide, poses_only
 from crosscheck.engines.engine import Engine
 from crosscheck.engines.registry import SOLVER, choose
+from crosscheck.report.chart import BarChart, Measure, log_chart
 from crosscheck.report.table import Lines, Part, Rows, Table, number_columns, text_columns
 from crosscheck.studies.benchmark.timing import Progress, Timed, time_alternately
 from crosscheck.support.errors import reason_of
@@ -193,3 +194,9 @@ def parts(timings: Sequence[Timing]) -> list[Part]:
     notes.append("load: in a fresh process, without a cache")
     notes += [f"{t.way} cannot run the scene: {t.reason}" for t in timings if t.reason]
     return [Table("", [*text_columns("right-hand side"), *heads], rows), Lines("", notes)]
+
+
+def charts(timings: Sequence[Timing]) -> list[BarChart]:
+    """Make the chart of the time of each right-hand side."""
+    times = [Measure(t.way, 1e6 * t.median, f"{1e6 * t.median:.3g} us") for t in timings if not t.reason]
+    return log_chart("Time of one evaluation", "Median time of one call", times, "us")

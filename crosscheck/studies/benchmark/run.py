@@ -18,6 +18,7 @@ from crosscheck.engines.engine import Engine
 from crosscheck.engines.registry import EngineError
 from crosscheck.engines.usable import divide, require_scene
 from crosscheck.library.options import titled
+from crosscheck.report.chart import BarChart
 from crosscheck.report.output import usual_folder
 from crosscheck.report.render import as_json
 from crosscheck.report.table import Cell, Lines, Part, Report
@@ -64,6 +65,8 @@ class BenchmarkResult(NamedTuple):
     Attributes:
         data: all measurements, for the JSON file.
         parts: parts of the report.
+        charts: bar charts of the measurements.
+        step: what the reader can do with the result.
         picture: plot as the bytes of a PNG file, if the benchmark has one.
         verdict: the result in one line, or empty.
         summary: parts that the terminal shows without `-v`; all parts if None.
@@ -71,6 +74,8 @@ class BenchmarkResult(NamedTuple):
 
     data: Mapping[str, Any]
     parts: list[Part]
+    charts: list[BarChart]
+    step: str
     picture: bytes | None = None
     verdict: str = ""
     summary: list[Part] | None = None
@@ -117,7 +122,19 @@ def bench(
     parts = [heading, *found.parts, *missing]
     summary = [*(found.parts if found.summary is None else found.summary), *missing, heading]
     no_judgment = Cell("")  # a benchmark has no result in one word, such as AGREE
-    whole = Report(f"bench {wanted.title}", found.verdict, no_judgment, parts, summary=summary)
+    steps = [found.step]
+    if left_out:
+        steps.append(f"The engines {', '.join(left_out)} are not measured; the notes have the reasons.")
+    whole = Report(
+        f"bench {wanted.title}",
+        found.verdict,
+        no_judgment,
+        parts,
+        summary=summary,
+        charts=found.charts,
+        captions={"work_precision.png": "Run time against error of all settings; lower left is better"},
+        next_steps=steps,
+    )
     pictures = {plot_path: found.picture} if plot_path and found.picture else {}
     data = {
         "source": wanted.source,
@@ -161,6 +178,11 @@ def _whole_runs(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkResult
     return BenchmarkResult(
         data=report.data(result),
         parts=list(report.parts(result)),
+        charts=report.charts(result, wanted.error),
+        step=(
+            "Take the engine and the setting with the shortest run time at the error that you need "
+            "(`--error`). The details list the settings."
+        ),
         picture=report.picture(result),
         verdict=report.verdict(result, wanted.error),
         summary=list(report.summary(result, wanted.error)),
@@ -170,19 +192,24 @@ def _whole_runs(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkResult
 def _right_hand_sides(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkResult:
     """Time one evaluation of the equations of motion by each engine."""
     timings = rhs.time_right_hand_sides(wanted.scene, wanted.engines, progress)
-    return BenchmarkResult({"right_hand_sides": [asdict(t) for t in timings]}, rhs.parts(timings))
+    step = "For whole runs at equal errors, run the command without `--rhs`: one evaluation has no error."
+    data = {"right_hand_sides": [asdict(t) for t in timings]}
+    return BenchmarkResult(data, rhs.parts(timings), rhs.charts(timings), step)
 
 
 def _batch(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkResult:
     """Measure the throughput of batches of runs from random states."""
     result = batch.benchmark_batch(wanted.scene, wanted.engines, wanted.runs, wanted.error, progress)
-    return BenchmarkResult(asdict(result), batch.parts(result))
+    step = "Take the engine with the highest throughput at the number of threads of your machine."
+    return BenchmarkResult(asdict(result), batch.parts(result), batch.charts(result), step)
 
 
 def _sensitivities(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkResult:
     """Time runs of newton_euler with derivatives with respect to parameters."""
     costs = sensitivities.time_sensitivities(wanted.scene, progress)
-    return BenchmarkResult({"sensitivities": [asdict(cost) for cost in costs]}, sensitivities.parts(costs))
+    step = "Expect this cost for runs with derivatives, such as those of `crosscheck identify`."
+    data = {"sensitivities": [asdict(cost) for cost in costs]}
+    return BenchmarkResult(data, sensitivities.parts(costs), sensitivities.charts(costs), step)
 
 
 class FileNames(NamedTuple):

@@ -16,6 +16,7 @@ from functools import partial
 from timeit import Timer
 
 from crosscheck.engines.benchmarks import poses_only
+from crosscheck.report.chart import BarChart, Measure, linear_chart
 from crosscheck.report.table import Lines, Part, Rows, Table, number_columns, text_columns
 from crosscheck.studies.benchmark.timing import Progress, Timed, time_alternately, time_text
 from newton_euler import compile_scene
@@ -117,3 +118,13 @@ def parts(costs: Sequence[SensitivityCost]) -> list[Part]:
     heads = [*text_columns("by"), *number_columns("operations", "time", "spread", "runs per parameter")]
     note = "CPU time of a run with sensitivities at the default tolerance, without initial states"
     return [Table("", heads, rows), Lines("", [note])]
+
+
+def charts(costs: Sequence[SensitivityCost]) -> list[BarChart]:
+    """Make the chart of the times of the runs."""
+    times = [
+        Measure(f"{cost.kind}: {cost.parameters}" if cost.parameters else "run alone", cost.median, text)
+        for cost in costs
+        for text in [time_text(cost.median)]
+    ]
+    return linear_chart("Time of a run", "CPU time by number of parameters with derivatives", times)

@@ -11,6 +11,8 @@ from typing import NamedTuple
 from crosscheck.compare.outcome import ExitStatus, Verdict
 from crosscheck.engines.engine import Engine
 from crosscheck.engines.limits import CannotExpressError
+from crosscheck.engines.registry import SOLVER
+from crosscheck.report.chart import Measure, linear_chart
 from crosscheck.report.table import Cell, Part, Report, Rows, Table, text_columns
 from crosscheck.studies.conformance import conventions, elements, runs
 from crosscheck.studies.conformance.candidate import Candidate, NotOfferedError
@@ -148,7 +150,18 @@ def report(engine: Engine, findings: Sequence[Finding]) -> Report:
     table = Table("", text_columns("point", "result", "why"), rows)
     title = f"contract of the engine {engine.name}"
     parts: list[Part] = [explanations()]
-    return Report(title, f"{judged.text}: {engine.name}: {others}", judged, parts, summary=[table])
+    counts = {result: len(_names(findings, result)) for result in Result}
+    results = [Measure(name, count, str(count), verdict=VERDICTS[name]) for name, count in counts.items()]
+    steps = [f"Correct the point {point}; the table has what is wrong." for point in failed]
+    return Report(
+        title,
+        f"{judged.text}: {engine.name}: {others}",
+        judged,
+        parts,
+        summary=[table],
+        charts=linear_chart("Points", "Number of points of the contract by result", results),
+        next_steps=steps or [f"Compare the engine: `crosscheck run --engines {SOLVER.name},{engine.name}`."],
+    )
 
 
 def _names(findings: Sequence[Finding], result: Result) -> list[str]:

@@ -16,7 +16,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, NamedTuple
 
+from crosscheck.compare.outcome import Verdict
 from crosscheck.engines.registry import SOLVER
+from crosscheck.report.chart import BarChart, Measure, linear_chart
 from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table, number_columns, text_columns
 from crosscheck.studies.faults.find import (
     RANDOM_STATES,
@@ -105,7 +107,36 @@ def report(title: str, search: FaultSearch, wall_time: float) -> Report:
         table(search, every=False),
         Lines("", [*left_out, *finding_lines(search, every=False)]),
     ]
-    return Report(title_line, verdict(title, search), judged, parts, wall_time, summary)
+    return Report(
+        title_line,
+        verdict(title, search),
+        judged,
+        parts,
+        wall_time,
+        summary,
+        charts=_chart(search),
+        next_steps=_next_steps(search),
+    )
+
+
+def _chart(search: FaultSearch) -> list[BarChart]:
+    """Make the chart of the located faults of each kind."""
+    measures = []
+    for kind in dict.fromkeys(found.fault.kind for found in search.found):
+        count = count_detected(found for found in search.found if found.fault.kind == kind)
+        if count.total:
+            share = 100.0 * count.located / count.total
+            verdict: Verdict = "holds" if count.located == count.total else "doubtful"
+            measures.append(Measure(kind, share, f"{count.located} of {count.total}", verdict=verdict))
+    caption = "Detectable faults of each kind that are located correctly; the axis ends at all of them"
+    return linear_chart("Located faults", caption, measures, end=100.0)
+
+
+def _next_steps(search: FaultSearch) -> list[str]:
+    """List what the reader can do about faults that are not located."""
+    if not list(_misses(search.found, search)):
+        return ["Rely on a run of this model to find a single fault of these kinds and sizes."]
+    return ["Give the model a motion that shows the missed faults; the details list the reasons."]
 
 
 def table(search: FaultSearch, every: bool = True) -> Table:

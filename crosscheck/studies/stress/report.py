@@ -17,6 +17,7 @@ from crosscheck.engines.engine import Engine
 from crosscheck.engines.registry import SOLVER
 from crosscheck.engines.versions import versions
 from crosscheck.report import render
+from crosscheck.report.chart import Measure, linear_chart
 from crosscheck.report.table import (
     Cell,
     Column,
@@ -81,7 +82,26 @@ def report(
     verdict = f"{passes} of {expressed} cases pass"
     if other := len(results) - expressed:
         verdict += f"; {other} not expressed"
-    return Report("Stress", verdict, judged=Cell(""), parts=parts, wall_time=wall_time)
+    measures = []
+    for name in _engines(results):
+        cases = [each for each in results if each.case.setting.engine == name and each.expressed]
+        count = sum(each.passes for each in cases)
+        if cases:
+            measures.append(Measure(name, 100.0 * count / len(cases), f"{count} of {len(cases)}"))
+    return Report(
+        "Stress",
+        verdict,
+        judged=Cell(""),
+        parts=parts,
+        wall_time=wall_time,
+        charts=linear_chart(
+            "Passed cases", "Cases that each engine passes; the axis ends at all of them", measures, end=100.0
+        ),
+        next_steps=[
+            "Look for the topic of your model, such as mass ratios, before you choose an engine.",
+            "The topics below list the cases that do not pass; `stress.json` has the reasons.",
+        ],
+    )
 
 
 def _not_expressed(results: Sequence[CaseResult]) -> Iterator[Table]:

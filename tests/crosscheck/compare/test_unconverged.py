@@ -157,7 +157,7 @@ def test_what_is_not_judged_is_said_in_the_verdict_tables_and_pages(tmp_path):
     assert "checks; 1 more check is not judged: a finer run of pinocchio reduces" in result.verdict
     found = report(result)
     write(result, found, tmp_path, tmp_path / "pendulum.rrd", "pendulum")
-    page = write_report(tmp_path, lambda _: None)
+    page = write_report(tmp_path, lambda _: None).path
     assert "1.0e-05 not judged" in page.read_text()
     assert "1.0e-05 not judged" in terminal(found.parts)
 

@@ -120,7 +120,7 @@ def test_python_states_the_outcome(tmp_path):
     with pytest.raises(AssertionError):
         verdict.assert_agrees()
     verdict.assert_agrees(allow_reduced=True)
-    assert '<strong class="doubtful">AGREE ON A REDUCED MODEL</strong>' in verdict._repr_html_()
+    assert '<div class="answer doubtful"><b>AGREE ON A REDUCED MODEL</b>' in verdict._repr_html_()
 
 
 @pytest.mark.parametrize(("reach", "moved"), [(0.4, False), (0.400001, False), (0.43, True)])

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 from mjcf_models import LOOP
-from test_report import Page
+from pages import Page
 
 import crosscheck
 from crosscheck.report.own_run import headline

@@ -9,8 +9,8 @@ from xml.etree import ElementTree
 import matplotlib
 import pytest
 
-from crosscheck.report.page import PageEntry, rendered
-from crosscheck.report.plots import speed
+from crosscheck.report.entry import PageEntry
+from crosscheck.report.plots import run_errors
 from crosscheck.report.render import as_json, junit, markdown, markdown_table, shorten_words, terminal
 from crosscheck.report.table import (
     Cell,
@@ -23,6 +23,7 @@ from crosscheck.report.table import (
     number_columns,
     text_columns,
 )
+from crosscheck.report.template import rendered
 
 ODD = "a|b <c> & \x00 `d`_"
 
@@ -213,7 +214,7 @@ def terminal_of(report):
 
 
 def page_of(report):
-    return rendered("page.html", title=report.title, index=[], entries=[PageEntry(report)], most=30)
+    return rendered("page.html", title=report.title, overall=None, index=[], entries=[PageEntry(report)])
 
 
 @pytest.mark.parametrize("written", [terminal_of, markdown, junit, page_of], ids=lambda f: f.__name__)
@@ -235,9 +236,9 @@ def test_long_values_of_an_error_are_cut():
 
 
 def test_a_style_of_the_user_does_not_reach_pictures():
-    costs = {"newton_euler": (0.1, 1e-9), "mujoco": (0.2, None)}
-    (plain,) = speed(costs)
+    errors = [0.0, 0.1], [0.0, 1e-9], [0.0, 1e-6], "log"
+    plain = list(run_errors(*errors))
     changes = {"text.usetex": True, "font.size": 30, "axes.facecolor": "red", "savefig.dpi": 500}
     with matplotlib.rc_context(changes):
-        (styled,) = speed(costs)
-    assert styled[0] == plain[0]
+        styled = list(run_errors(*errors))
+    assert styled == plain

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import os
 import shutil
 from dataclasses import asdict
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import run, scene_file, short_example
+from pages import Page
 
 from crosscheck.cli import main
 from crosscheck.compare.check import CONSTRAINT_VIOLATION, POSES
 from crosscheck.library import SCENES
-from crosscheck.report.page import MAX_FOLDERS_IN_FULL, PAGE, key_times, write_report
-from crosscheck.report.plots import SPEED_CAPTION, pictures
+from crosscheck.report.entry import key_times
+from crosscheck.report.page import MAX_FOLDERS_IN_FULL, PAGE, write_report
+from crosscheck.report.plots import pictures
 from crosscheck.report.table import Column, Table, checked_cell
 from crosscheck.support.checksum import with_checksum
 from crosscheck.support.errors import CrosscheckError
@@ -26,7 +26,6 @@ from crosscheck.support.results import digest
 from newton_euler.model.trajectory import load_arrays
 
 ENGINES = ["newton_euler", "pinocchio"]
-VOID = {"meta", "br", "img"}
 PNG = b"\x89PNG\r\n\x1a\n"
 EVIL = "</table><script>alert('1')</script>\"&"
 
@@ -35,50 +34,6 @@ DIFFERENCE = "difference from newton_euler, largest over the bodies; thin lines 
 DIFFERENCES = [f"{quantity}: {DIFFERENCE}" for quantity in POSES]
 DRIFT = f"{CONSTRAINT_VIOLATION}: drift, largest over the joints; thin lines are tolerances"
 ENERGIES = [f"{name}, J: energy" for name in ("kinetic", "potential", "work done by what has no potential")]
-
-
-class Page(HTMLParser):
-    """A page taken apart; fails where tags are not nested, or where something would be fetched."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__()
-        self.tags: list[str] = []
-        self.seen: set[str] = set()
-        self.text: list[str] = []
-        self.images: dict[str, bytes] = {}
-        self.anchors: set[str] = set()
-        self.links: set[str] = set()
-        self.feed(path.read_text(encoding="utf-8"))
-        self.close()
-        assert self.tags == []
-
-    def handle_starttag(self, tag, attrs):
-        attributes = dict(attrs)
-        self.seen.add(tag)
-        if tag not in VOID:
-            self.tags.append(tag)
-        if "id" in attributes:
-            self.anchors.add(attributes["id"])
-        assert not {"srcset", "background", "action", "data"} & attributes.keys()
-        if "src" in attributes:
-            kind, _, content = attributes["src"].partition("base64,")
-            assert (tag, kind) == ("img", "data:image/png;")
-            self.images[attributes["alt"]] = base64.b64decode(content, validate=True)
-        if "href" in attributes:
-            assert tag == "a"
-            assert attributes["href"].startswith("#")
-            self.links.add(attributes["href"][1:])
-
-    def handle_endtag(self, tag):
-        assert self.tags.pop() == tag
-
-    def handle_data(self, data):
-        if self.tags and self.tags[-1] != "style":
-            self.text.append(data)
-
-    @property
-    def words(self) -> str:
-        return "\n".join(self.text)
 
 
 @pytest.fixture(scope="module")
@@ -134,12 +89,13 @@ def write(path: Path, **changes: object) -> None:
 
 
 def report(folder: Path) -> Page:
-    return Page(write_report(folder, lambda _: None))
+    return Page(write_report(folder, lambda _: None).path)
 
 
 def test_a_page_holds_what_a_run_found(folder, capsys):
     status, out, err = run(capsys, "report", folder)
-    assert (status, out, err) == (0, f"wrote {folder / PAGE}\n", "")
+    assert (status, out) == (0, f"wrote {folder / PAGE}\n")
+    assert err == "note: the page has no 3-D pictures of four_bar.rrd: no Vulkan driver\n"
     found, summary = Page(folder / PAGE), json.loads((folder / "summary.json").read_text())
     word, _, rest = summary["verdict"].partition(": ")
     assert {word, *found.text} == {*found.text}
@@ -152,7 +108,7 @@ def test_a_page_holds_what_a_run_found(folder, capsys):
         assert package in found.words
         assert version in found.words
     assert "DOP853" in found.words
-    assert list(found.images) == [SPEED_CAPTION, *DIFFERENCES, DRIFT, *ENERGIES]
+    assert list(found.images) == [*DIFFERENCES, DRIFT, *ENERGIES]
     assert all(content.startswith(PNG) and len(content) > 5000 for content in found.images.values())
     assert {path.name for path in folder.iterdir()} == {
         *(f"{engine}.npz" for engine in ENGINES),
@@ -164,10 +120,10 @@ def test_a_page_holds_what_a_run_found(folder, capsys):
 
 
 def test_pictures_by_the_viewer_where_it_runs(folder, monkeypatch):
-    assert "No picture of four_bar: no Vulkan driver" in report(folder).words
+    assert "Vulkan" not in report(folder).words
     taken = lambda rrd, moments, view: [PNG + str(moment).encode() for moment in moments]  # noqa: E731
     monkeypatch.setattr("crosscheck.recording.screenshot.screenshots", taken)
-    _, first, middle, last, *_ = report(folder).images
+    first, middle, last, *_ = report(folder).images
     assert (first, last) == ("four_bar at 0 s", "four_bar at 0.05 s")
     assert middle not in (first, last)
 
@@ -210,8 +166,8 @@ def test_a_disagreement_is_found_at_a_glance(tmp_path):
     word = {"text": "FAILS", "verdict": "fails"}
     write(tmp_path / "summary.json", verdict="DISAGREE: somewhere", judged=word, parts=[asdict(table)])
     text = (tmp_path / PAGE).read_text() if report(tmp_path) else ""
-    assert '<p class="verdict fails"><b>DISAGREE</b><span>somewhere</span></p>' in text
-    assert '<th class="number">mass, kg</th>' in text
+    assert '<div class="answer fails"><b>DISAGREE</b><span>somewhere</span></div>' in text
+    assert '<th scope="col" class="number">mass, kg</th>' in text
     assert '<td class="number fails" title="worst at the crank">1.2e-01 &gt; 1e-12</td>' in text
 
 
@@ -247,8 +203,10 @@ def test_a_recording_that_is_none(folder):
     vouch(folder, "four_bar.rrd")
     files = json.loads((folder / "summary.json").read_text())["files"]
     change(folder, files={name: known for name, known in files.items() if name != "pinocchio.npz"})
-    found = report(folder)
-    assert "No picture of four_bar: " in found.words
+    (missing,) = write_report(folder, lambda _: None).missing
+    assert missing.startswith("the page has no 3-D pictures of four_bar.rrd: ")
+    found = Page(folder / PAGE)
+    assert not {"four_bar at 0 s"} & found.images.keys()
     assert DRIFT in found.images
     assert not {*DIFFERENCES} & found.images.keys()
 

@@ -182,7 +182,7 @@ def test_sums_are_in_a_json(results):
 
 
 def test_results_have_a_page(results):
-    page = write_report(results, lambda _: None).read_text()
+    page = write_report(results, lambda _: None).path.read_text()
     assert "largest forces of actuators at rest and in motion" in page
     assert page.count("data:image/png;base64") >= 1
 

@@ -259,9 +259,9 @@ def test_a_benchmark_is_written_as_json_and_picture(tracker, tmp_path, capsys, m
     assert "Pareto" in every
     starts = {path.name: path.read_bytes()[:4] for path in (tmp_path / "new").iterdir()}
     assert starts == {"bench.json": b'{\n "', "work_precision.png": b"\x89PNG"}
-    page = write_report(tmp_path / "new", lambda _: None).read_text()
+    page = write_report(tmp_path / "new", lambda _: None).path.read_text()
     assert "mujoco takes 5 ms, 25 times as long" in page
-    assert 'alt="work precision"' in page
+    assert 'alt="Run time against error of all settings; lower left is better"' in page
 
 
 def test_the_record_of_the_machine_names_processor_cores_and_versions():
@@ -396,4 +396,4 @@ def test_derivatives_are_timed_in_runs(capsys, tmp_path, monkeypatch):
     kinds = [(cost["parameters"], cost["kind"]) for cost in costs]
     assert kinds == [(0, ""), (1, "masses"), (2, "masses"), (1, "joint points")]  # of three bodies
     assert all(len(cost["times"]) == 2 and min(cost["times"]) > 0.0 for cost in costs)
-    assert "runs per parameter" in write_report(tmp_path, lambda _: None).read_text()
+    assert "runs per parameter" in write_report(tmp_path, lambda _: None).path.read_text()

@@ -302,7 +302,7 @@ def test_the_command_writes_what_a_page_shows(capsys, tmp_path, monkeypatch):
         assert written["faults"][0]["seen"]["where"] == "crank"
         assert written["report"]["verdict"] in out
         assert "by motion alone" in out
-    page = write_report(tmp_path, lambda _: None).read_text()
+    page = write_report(tmp_path, lambda _: None).path.read_text()
     assert written["report"]["verdict"] in page
     assert all(fault.name in page for fault in few)
 

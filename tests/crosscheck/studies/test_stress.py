@@ -358,7 +358,7 @@ def test_the_report_counts_what_passes_and_names_what_does_not(rows, tmp_path):
     content = json.loads((folder / "stress.json").read_text(), parse_constant=pytest.fail)
     assert [row["verdict"] for row in content["rows"]] == [row.verdict for row in rows]
     assert content["rows"][2]["value"] == "nan"
-    assert "2 of 5 cases pass" in write_report(folder, lambda _: None).read_text()
+    assert "2 of 5 cases pass" in write_report(folder, lambda _: None).path.read_text()
 
 
 def test_a_folder_that_cannot_be_written_is_said_before_the_run(capsys, tmp_path):
