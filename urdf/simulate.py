@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import Any, Unpack
 
 from newton_euler.arguments import checked
-from newton_euler.errors import OptionError
 from newton_euler.integrators.options import (
     IntegratorName,
     Options,
@@ -53,8 +52,6 @@ def simulate(
 
     alpha = baumgarte_alpha(stabilization, alpha)  # 0 without Baumgarte stabilization
     options = replace(Options.of(integrator, control), projection=stabilization == "projection")
-    if options.rest:  # threshold of rates below which a mechanism counts as at rest and is not integrated
-        raise OptionError("rest", options.rest, "0: Pinocchio's runs do not skip steps at rest")
     settings: dict[str, Any] = {"stabilization": stabilization}  # to be stored in the trajectory
     if stabilization == "baumgarte":
         settings["alpha"] = alpha

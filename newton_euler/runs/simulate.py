@@ -29,7 +29,7 @@ from newton_euler.equations.couplings import counted_angles, couplings
 from newton_euler.equations.parameters import pieces
 from newton_euler.equations.redundancy import NearlyRedundant, inherit_mobility, mobility
 from newton_euler.equations.system import Observation, System, at_time
-from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError, RoundOffWarning
+from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError, OptionError, RoundOffWarning
 from newton_euler.integrators.options import (
     FormulationName,
     IntegratorName,
@@ -309,8 +309,11 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
         settings: settings of the engine; those of the integrator and its counts are added.
 
     Raises:
+        OptionError: for steps that are skipped at rest (`Options.rest`): runs of Python skip none.
         IntegrationError: for a run that stops early, with the trajectory so far.
     """
+    if options.rest:
+        raise OptionError("rest", options.rest, f"0: runs of {engine} do not skip steps at rest")
     # the start
     scene = system.scene
     options.check_steps(scene.duration)

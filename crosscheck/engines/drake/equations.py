@@ -32,6 +32,7 @@ from crosscheck.engines.drake.closures import Closures
 from crosscheck.engines.drake.placed import PlacedPlant
 from crosscheck.engines.drake.plant import NAME, build
 from crosscheck.engines.drake.readings import joint_geometry, mass_properties
+from newton_euler.equations.articulated import moved_wrench
 from newton_euler.equations.coupling_equations import TreeCouplings
 from newton_euler.equations.dense import solve_constrained
 from newton_euler.equations.drives import drive_wrenches, joint_points
@@ -378,7 +379,7 @@ class DrakeSystem:
             point, _ = self.placed.pose(loop.second)
             ends = self._welded.mechanism.equations[loop.joint]
             for body, sign in ((ends.first, -1.0), (ends.second, 1.0)):
-                wrenches[body] += sign * _about(wrench, point, frames[body].position)
+                wrenches[body] += sign * moved_wrench(wrench, point - frames[body].position)
         # forces on coordinates: applied ones, those of rotors on balls, and those of couplings
         on_balls = -self._ball_rotors * solution.acceleration
         along = forces.along + on_balls + self.couplings.jacobian(q).T @ of_couplings
@@ -426,7 +427,7 @@ class DrakeSystem:
             if tree_joint.joint >= count:
                 continue
             sign = 1.0 if tree_joint.forward else -1.0
-            found[tree_joint.joint] = sign * _about(wrench, np.zeros(3), points[tree_joint.joint])
+            found[tree_joint.joint] = sign * moved_wrench(wrench, -points[tree_joint.joint])
             for motion, _, on_v in tree_joint.places:
                 if motion.kind == "ball":
                     found[tree_joint.joint, 3:] -= sign * (columns[3:, on_v] @ drives[on_v])
@@ -434,8 +435,3 @@ class DrakeSystem:
         for joint, wrench in drive_wrenches(self.tree, columns, points, on_axes):
             found[joint] -= wrench
         return found
-
-
-def _about(wrench: Array, old: Array, new: Array) -> Array:
-    """Return a wrench (6,) about the point `old` as one about the point `new`."""
-    return np.concatenate([wrench[:3], wrench[3:] + np.cross(old - new, wrench[:3])])

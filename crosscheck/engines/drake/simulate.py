@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal, Unpack
+from typing import Literal, Unpack, get_args
 
 from crosscheck.engines.drake.equations import DrakeSystem
 from crosscheck.engines.drake.plant import NAME
 from newton_euler.arguments import checked
-from newton_euler.errors import OptionError, UnknownNameError
+from newton_euler.errors import check_choice
 from newton_euler.integrators.options import IntegratorName, Options, StepControl
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
@@ -38,9 +38,6 @@ def simulate(
         NewtonEulerError: for an unknown name, an impossible option, or a run that stops early, with the
             trajectory so far.
     """
-    if stabilization not in ("projection", "none"):
-        raise UnknownNameError("stabilization", stabilization, ("projection", "none"))
+    check_choice("stabilization", stabilization, get_args(StabilizationName))
     options = replace(Options.of(integrator, control), projection=stabilization == "projection")
-    if options.rest:  # threshold of rates below which a mechanism counts as at rest and is not integrated
-        raise OptionError("rest", options.rest, "0: Drake's runs do not skip steps at rest")
     return run(DrakeSystem(scene), NAME, options, {"stabilization": stabilization})

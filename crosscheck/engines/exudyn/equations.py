@@ -28,9 +28,11 @@ from crosscheck.engines.exudyn.model import build
 from crosscheck.engines.exudyn.model_laws import ModelLaws
 from crosscheck.engines.exudyn.readings import joint_geometry, mass_properties
 from crosscheck.engines.limits import require_expressed
+from newton_euler.equations.articulated import moved_wrench
 from newton_euler.equations.coupling_equations import residuals
 from newton_euler.equations.couplings import counted_angles, couplings
 from newton_euler.equations.dense import solve_constrained
+from newton_euler.equations.drives import joint_points
 from newton_euler.equations.redundancy import constraint_rank, rows_left_out, with_zero_rows
 from newton_euler.equations.revolutions import revolutions
 from newton_euler.equations.system import Energies, Evaluation, MassProperties, Observation
@@ -412,26 +414,20 @@ class ExudynSystem:
 
         A joint also transmits the forces of couplings and prescribed motions along its coordinates.
         """
-        mechanism, found = self.mechanism, np.zeros((len(self.mechanism.joints), 6))
+        mechanism, points = self.mechanism, joint_points(self.mechanism, frames)
+        found = np.zeros((len(mechanism.joints), 6))
         for index, equations in enumerate(mechanism.equations):
             rows = [k for k, row in enumerate(self.model.rows) if row.joint == index]
             # the wrench on the second body, or minus that on the first body if the second is the ground
             body, sign = (equations.second, 1.0) if equations.second else (equations.first, -1.0)
             on_body = sign * (jacobian[rows, 6 * (body - 1) : 6 * body].T @ multipliers[rows])
             on_body[3:] = frames[body].rotation @ on_body[3:]
-            found[index] = self._about_point(frames, index, on_body, body)
+            found[index] = moved_wrench(on_body, frames[body].position - points[index])
         of_equations = multipliers[len(multipliers) - len(self.model.equations) :].tolist()
         for coupling, multiplier in zip(self.model.equations, of_equations, strict=True):
             if not coupling.rotor:
                 for joint, wrench in coupling.wrenches_on_second(frames, multiplier):
                     index = mechanism.joint_index(joint)
-                    second = mechanism.equations[index].second
-                    found[index] += self._about_point(frames, index, wrench, second)
+                    second = frames[mechanism.equations[index].second]
+                    found[index] += moved_wrench(wrench, second.position - points[index])
         return found
-
-    def _about_point(self, frames: Sequence[Frame], joint: int, wrench: Array, body: int) -> Array:
-        """Return a wrench (6,) about the center of mass of a body as one about the point of a joint."""
-        second = frames[self.mechanism.equations[joint].second]
-        point = second.position + second.rotation @ self.mechanism.reaction_arms[joint]
-        moment = wrench[3:] + np.cross(frames[body].position - point, wrench[:3])
-        return np.concatenate([wrench[:3], moment])

@@ -50,5 +50,5 @@ def test_rests_are_skipped_only_where_nothing_depends_on_time(stepped):
 def test_what_rest_cannot_be(stepped, options, message):
     with pytest.raises(OptionError, match=message):
         simulate(stepped, **options)
-    with pytest.raises(OptionError, match=r"rest is 1e-06.*Pinocchio"):
+    with pytest.raises(OptionError, match=r"rest is 1e-06.*pinocchio"):
         urdf.simulate(stepped, rest=1e-6)
