@@ -124,8 +124,10 @@ def body_loads(scene: Scene, state: State, time: float, native: Collection[objec
         is_native = any(force is each for each in native)
         if isinstance(force, PointSpring):
             at = of_element.stretch(force)
-            power -= force.damping * at.rate**2
-            energies[is_native] += 0.5 * force.stiffness * (at.length - force.rest_length) ** 2
+            # products, which are infinite where powers of a diverging run would raise an OverflowError
+            power -= force.damping * at.rate * at.rate
+            deflection = at.length - force.rest_length
+            energies[is_native] += 0.5 * force.stiffness * deflection * deflection
             if not is_native:
                 wrenches += applied(force)
             continue

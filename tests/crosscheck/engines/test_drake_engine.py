@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import ball_scenes
@@ -20,6 +18,7 @@ from crosscheck.engines.benchmarks import poses_only
 from crosscheck.engines.drake import ENGINE
 from crosscheck.engines.drake.equations import DrakeSystem
 from crosscheck.engines.drake.simulate import simulate
+from crosscheck.engines.limits import no_limits
 from crosscheck.engines.registry import choose
 from crosscheck.library import SCENES, load
 from crosscheck.studies.benchmark.reference import pose_errors
@@ -58,7 +57,7 @@ class TestContract(EngineConformance):
 @pytest.mark.parametrize("name", FAST_SCENES)
 def test_equations(name):
     scene = load(name)
-    assert failures(scene, DrakeSystem(scene)) == []
+    assert failures(scene, DrakeSystem(scene), others=1) == []
 
 
 @pytest.mark.slow
@@ -71,7 +70,7 @@ def test_equations_of_the_other_scenes(name):
 @pytest.mark.parametrize("name", FAST_ELEMENTS)
 def test_equations_of_elements(name):
     scene = ELEMENTS[name]
-    assert failures(scene, DrakeSystem(scene)) == []
+    assert failures(scene, DrakeSystem(scene), others=1) == []
 
 
 @pytest.mark.slow
@@ -111,9 +110,9 @@ def test_a_mechanism_that_cannot_move():
     np.testing.assert_allclose(run.reaction_torque[-1], [[4.0, -2.0, 0.0]], atol=1e-12)
 
 
-@pytest.mark.parametrize(("name", "duration"), [("pendulum", 2.0), ("four_bar", 0.3), ("tracker", 0.1)])
+@pytest.mark.parametrize(("name", "duration"), [("pendulum", 0.5), ("four_bar", 0.2), ("tracker", 0.05)])
 def test_default_runs(name, duration):
-    scene = replace(load(name), duration=duration)
+    scene = replace(load(name), duration=duration, output_period=0.2 * duration)
     run, exact = ENGINE.simulate(scene), reference(scene, rtol=1e-12, atol=1e-14)
     # both integrate with rtol 1e-10
     assert distance(run, exact) < 1e-8
@@ -123,58 +122,18 @@ def test_default_runs(name, duration):
             np.testing.assert_allclose(found, needed, atol=1e-7 * np.max(np.abs(needed)), err_msg=quantity)
 
 
-def test_a_refined_run_is_nearer():
-    scene = replace(load("pendulum"), duration=2.0)
-    exact = reference(scene, rtol=1e-13, atol=1e-15)
-    coarse, fine = (distance(run(scene), exact) for run in (ENGINE.simulate, ENGINE.refined))
-    assert fine < 0.1 * coarse
-
-
 def swing_with(law) -> Scene:
     """A bar on a hinge with a control law."""
     hinge = Revolute("hinge", "ground", "bar", np.zeros(3), axis=[0.0, 1.0, 0.2], actuated=True)
     mechanism = Mechanism([Body.ground(), bar("bar", [0.0, 0.0, 0.0], [0.4, 0.1, 0.0])], [hinge])
-    return Scene("swing", mechanism, 0.5, 0.1, GRAVITY, control=(law,))
+    return Scene("swing", mechanism, 0.2, 0.1, GRAVITY, control=(law,))
 
 
 def test_a_sampled_controller():
-    scene = swing_with(Sampled("hinge", lambda t, x, rate: 3.0 * np.cos(7.0 * t) - x[0], period=0.025))
+    scene = swing_with(Sampled("hinge", lambda t, x, rate: 3.0 * np.cos(7.0 * t) - x[0], period=0.04))
     run, exact = simulate(scene), reference(scene, rtol=1e-12, atol=1e-14)
     assert distance(run, exact) < 1e-9
     np.testing.assert_allclose(run.work, exact.work, atol=1e-9)
-
-
-def test_a_run_that_stops_has_its_outputs():
-    def controller(time, x, rate):
-        if time > 0.25:
-            raise ValueError("no more")
-        return 0.0
-
-    with pytest.raises(IntegrationError, match="no more") as caught:
-        simulate(swing_with(Sampled("hinge", controller, period=0.05)))
-    np.testing.assert_allclose(caught.value.partial.time, [0.0, 0.1, 0.2])
-
-
-def test_states_that_are_not_finite_do_not_end_the_process():
-    """Drake would end the process (in another one here, should it happen)."""
-    code = (
-        "import numpy as np\n"
-        "from crosscheck.engines.drake.equations import DrakeSystem\n"
-        "from crosscheck.library import load\n"
-        "from newton_euler.errors import SingularityError\n"
-        "from newton_euler.runs.assemble import initial_state\n"
-        "for name in ('pendulum', 'heavy_top'):\n"
-        "    scene = load(name)\n"
-        "    system = DrakeSystem(scene)\n"
-        "    q, v = system.coordinates(initial_state(scene))\n"
-        "    for bad in ((q + np.nan, v), (q, v + np.inf), (0.0 * q, v)):\n"
-        "        try:\n"
-        "            system.acceleration(*bad)\n"
-        "        except SingularityError as error:\n"
-        "            print(error.reason)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.count("the state is not finite") >= 5
 
 
 def test_a_diverging_run_stops():
@@ -197,9 +156,8 @@ def test_unknown_settings(settings, error):
         simulate(pendulum(), **settings)
 
 
-@pytest.mark.parametrize("name", SCENES)
-def test_equations_have_no_limits(name):
-    assert ENGINE.limits(load(name)) == ()
+def test_equations_have_no_limits():
+    assert ENGINE.limits is no_limits
 
 
 def test_an_error_of_drake_is_one_of_the_equations():

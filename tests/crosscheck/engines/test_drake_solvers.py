@@ -18,7 +18,7 @@ from crosscheck.engines.drake import ENGINE
 from crosscheck.engines.drake.equations import DrakeSystem
 from crosscheck.engines.drake.solvers import limits_of_solver, simulate_with
 from crosscheck.engines.limits import CannotExpressError
-from crosscheck.library import SCENES, load
+from crosscheck.library import load
 from newton_euler import simulate as reference
 from newton_euler.errors import OptionError, SingularityError, UnknownNameError
 from newton_euler.model.control import PD
@@ -39,7 +39,7 @@ def errors(scene, *settings):
     return [distance(ENGINE.simulate(scene, each), exact) for each in settings]
 
 
-def short(name, duration, outputs=10):
+def short(name, duration, outputs=5):
     """Return a scene of the library with another duration."""
     return replace(load(name), duration=duration, output_period=duration / outputs)
 
@@ -47,32 +47,32 @@ def short(name, duration, outputs=10):
 @pytest.mark.parametrize(
     ("name", "duration", "step"),
     [
-        ("pendulum", 1.0, 2e-3),
-        ("chain", 0.5, 2e-3),
+        ("pendulum", 0.5, 2e-3),
+        ("chain", 0.2, 2e-3),
         ("four_bar", 0.5, 2e-3),  # a ball
-        ("bricard", 0.5, 2e-3),  # a weld
-        ("flyball_governor", 0.05, 2e-4),  # stiff springs
-        ("tracker", 0.2, 1e-2),  # forces from Python
+        ("bricard", 0.2, 2e-3),  # a weld
+        ("flyball_governor", 0.02, 2e-4),  # stiff springs
+        ("tracker", 0.1, 1e-2),  # forces from Python
     ],
 )
 def test_sap_is_of_order_1(name, duration, step):
     scene = short(name, duration)
     coarse, fine = errors(scene, *({"solver": "SAP", "step": each} for each in (step, 0.5 * step)))
-    assert 1e-5 < fine < 0.05
+    assert 1e-6 < fine < 0.05  # the reference is accurate to 1e-11
     assert coarse / fine == pytest.approx(2.0, rel=0.15)
 
 
 def test_sap_holds_loops():
     """Drake's constraints are nearly rigid: their compliance grows with the square of the step."""
     violations = [
-        np.max(simulate_with(short("four_bar", 0.5), "SAP", step=step).constraint_violation)
+        np.max(simulate_with(short("four_bar", 0.2), "SAP", step=step).constraint_violation)
         for step in (1e-2, 1e-3)
     ]
     assert violations[1] < 1e-7
     assert violations[0] / violations[1] == pytest.approx(100.0, rel=0.3)
 
 
-@pytest.mark.parametrize(("name", "duration"), [("pendulum", 2.0), ("chain", 0.5)])
+@pytest.mark.parametrize(("name", "duration"), [("pendulum", 1.0), ("chain", 0.2)])
 def test_runge_kutta_follows_its_accuracy(name, duration):
     scene = short(name, duration)
     coarse, fine = errors(scene, *({"solver": "runge_kutta5", "accuracy": each} for each in (1e-7, 1e-11)))
@@ -83,8 +83,8 @@ def test_runge_kutta_follows_its_accuracy(name, duration):
 
 def test_balls_pass_the_singular_pitch_of_their_angles():
     """The top is at a pitch of 90 degrees after 0.75 s, where the rates of Drake's angles are singular."""
-    (error,) = errors(short("heavy_top", 1.0), {"solver": "runge_kutta5", "accuracy": 1e-10})
-    assert error < 1e-5  # at 157 rad/s; 9000 steps
+    (error,) = errors(short("heavy_top", 0.8), {"solver": "runge_kutta5", "accuracy": 1e-10})
+    assert error < 1e-5  # at 157 rad/s; 7000 steps
 
 
 @pytest.mark.parametrize(
@@ -97,7 +97,7 @@ def test_balls_pass_the_singular_pitch_of_their_angles():
     ],
 )
 def test_elements(name, solver, largest):
-    scene = replace(ELEMENTS[name], duration=0.1, output_period=0.05)
+    scene = replace(ELEMENTS[name], duration=0.05, output_period=0.025)
     (error,) = errors(scene, {"solver": solver})
     assert error < largest
 
@@ -117,7 +117,7 @@ def swing() -> Scene:
     hinge = Revolute("hinge", "ground", "bar", np.zeros(3), axis=[0.0, 1.0, 0.2], actuated=True)
     mechanism = Mechanism([Body.ground(), bar("bar", [0.0, 0.0, 0.0], [0.4, 0.1, 0.0])], [hinge])
     law = PD("hinge", 5.0, 0.5, Sine(0.3, 2.0))
-    return Scene("swing", mechanism, 1.0, 0.1, GRAVITY, control=(law,))
+    return Scene("swing", mechanism, 0.4, 0.1, GRAVITY, control=(law,))
 
 
 def test_work_of_a_control_law():
@@ -139,7 +139,7 @@ def test_steps_divide_the_output_intervals():
     np.testing.assert_allclose(run.time, [0.0, 0.2, 0.4, 0.5])
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", [*sorted(TREES), "four_bar", "tracker_on_boat"])
 def test_runge_kutta_runs_trees_only(name):
     assert (not limits_of_solver(load(name), "runge_kutta5")) == (name in TREES)
 
@@ -172,13 +172,25 @@ def test_impossible_settings(settings, error):
         ENGINE.simulate(pendulum(), settings)
 
 
-def test_runs_that_diverge_do_not_end_the_process():
-    """Drake would end the process for states that are not finite (in another one here, should it happen)."""
+def test_states_that_are_not_finite_do_not_end_the_process():
+    """Drake would end the process (another one here, should it happen), also for states of diverging runs."""
     code = (
+        "import numpy as np\n"
         "from dataclasses import replace\n"
+        "from crosscheck.engines.drake.equations import DrakeSystem\n"
         "from crosscheck.engines.drake.solvers import simulate_with\n"
         "from crosscheck.library import load\n"
+        "from newton_euler.errors import SingularityError\n"
         "from newton_euler.model.trajectory import IntegrationError\n"
+        "from newton_euler.runs.assemble import initial_state\n"
+        "for name in ('pendulum', 'heavy_top'):\n"
+        "    system = DrakeSystem(load(name))\n"
+        "    q, v = system.coordinates(initial_state(system.scene))\n"
+        "    for bad in ((q + np.nan, v), (q, v + np.inf), (0.0 * q, v)):\n"
+        "        try:\n"
+        "            system.acceleration(*bad)\n"
+        "        except SingularityError as error:\n"
+        "            print(error.reason)\n"
         "top = replace(load('heavy_top'), duration=5.0, output_period=0.5)\n"
         "governor = replace(load('flyball_governor'), duration=2.0, output_period=0.5)\n"
         "for scene, step in ((top, 0.05), (governor, 0.1)):\n"
@@ -188,7 +200,8 @@ def test_runs_that_diverge_do_not_end_the_process():
         "        print('stopped', error.time, len(error.partial.time))\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert len(done.stdout.splitlines()) == 2
+    assert done.stdout.count("the state is not finite") >= 5
+    assert done.stdout.count("completed") + done.stdout.count("stopped") == 2
 
 
 def test_a_state_that_cannot_be_evaluated_ends_the_trajectory(monkeypatch):
