@@ -52,6 +52,14 @@ def min_energy_scale(scene: Scene, states: list[State]) -> float:
     return max(kinetic, weight * size, mass * (size * RANDOM_RATE) ** 2)
 
 
+def energy_change(run: Trajectory) -> Array:
+    """Return the change (n,) of the kinetic and potential energy of a run since its start, J."""
+    assert run.kinetic_energy is not None
+    assert run.potential_energy is not None
+    energy = run.kinetic_energy + run.potential_energy
+    return np.asarray(energy - energy[0])
+
+
 def energy_balance(scene: Scene, run: Trajectory) -> Balance | None:
     """Compute the energy balance of a run: the change of its energy minus the work done on it.
 
@@ -65,7 +73,6 @@ def energy_balance(scene: Scene, run: Trajectory) -> Balance | None:
         return None
     if scene.tracks_work and run.work is None:
         return None
-    change = run.kinetic_energy + run.potential_energy
-    change = change - change[0]
+    change = energy_change(run)
     scale = float(np.max(np.abs(change)) + np.max(run.kinetic_energy))
     return Balance(change if run.work is None else change - run.work, scale)

@@ -26,7 +26,7 @@ from newton_euler.model.state import State
 from newton_euler.model.switched_forces import ElasticGear, JointFriction, JointStop
 from newton_euler.model.wind import WindLoad
 from newton_euler.reading.switched_loads import switched_load
-from newton_euler.scalars import Array
+from newton_euler.scalars import Array, cross
 
 ORIGIN = np.zeros(3)
 """Arm of a force at the center of mass."""
@@ -198,7 +198,7 @@ class Wrenches:
             frame, arm = self.frames[body], self._lever_arm(body, point)
             arms.append((body, arm))
             positions.append(frame.position + arm)
-            velocities.append(frame.velocity + np.cross(frame.angular_velocity, arm))
+            velocities.append(frame.velocity + cross(frame.angular_velocity, arm))
         line = positions[1] - positions[0]
         length = float(np.linalg.norm(line))
         along = line / (length or 1.0)  # a spring without rest length and damping may have zero length

@@ -36,8 +36,10 @@ def loaded_bodies(mechanism: Mechanism, force: Force) -> set[int]:
 
 def motions_of(scene: Scene, state: State) -> Motions:
     """Return the joint coordinates that forces act on or that laws read, and their rates, by key."""
-    frames, found = state.frames(), dict[Key, tuple[float, float]]()
-    for key in dict.fromkeys((*scene.loaded_coordinates, *scene.sensed)):
+    found = dict[Key, tuple[float, float]]()
+    keys = dict.fromkeys((*scene.loaded_coordinates, *scene.sensed))
+    frames = state.frames() if keys else []
+    for key in keys:
         x, rate = scene.mechanism.measure(key, frames)
         found[key] = float(x + state.revolutions(key, x)), float(rate)
     return found

@@ -15,7 +15,7 @@ import numpy as np
 from crosscheck.engines.exudyn.running import IndependentRows, RunningSystem
 from newton_euler.equations.applied_forces import surroundings, with_likely_causes
 from newton_euler.equations.parameters import pieces, with_values
-from newton_euler.errors import SingularityError, quoted
+from newton_euler.errors import SingularityError
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import IntegrationError, StoppedError
 from newton_euler.runs.assemble import initial_state
@@ -94,6 +94,17 @@ class Part(NamedTuple):
         return self._replace(times=self.times[stops:], is_output=self.is_output[stops:])
 
 
+def integrals(times: Array, values: Array) -> Array:
+    """Integrate values (n,) at times (n,), s, from the first time to each of them.
+
+    The trapezoidal rule is corrected by the slopes of the values, which makes the error of order 4.
+    """
+    steps = np.diff(times)
+    slopes = np.gradient(values, times, edge_order=2) if len(times) > 2 else np.zeros(len(times))
+    of_steps = 0.5 * steps * (values[:-1] + values[1:]) - steps**2 / 12.0 * np.diff(slopes)
+    return np.concatenate([[0.0], np.cumsum(of_steps)])
+
+
 class Run:
     """A run of Exudyn: its present state, and the outputs so far.
 
@@ -133,9 +144,8 @@ class Run:
         """Find accelerations and multipliers of the present state, and store an output there if it is one."""
         try:
             self._acceleration, self._multipliers = self._equations.solve(self._q, self._v)
-        except SingularityError as error:
-            remedy = "use a shorter step" if self._time else "start from another state"
-            raise self._stopped(f"{error}", remedy) from error
+        except (SingularityError, exu.ExudynError) as error:
+            raise self._raised(error) from error
         if is_output:
             self.outputs.append(self._present(self._time))
 
@@ -194,13 +204,14 @@ class Run:
         solver, settings = exu.MainSolverImplicitSecondOrder(), self._settings(part)
         try:
             solver.SolveSystem(equations.model.mbs, settings)
-        except Exception as error:  # of user functions, or Exudyn's own
-            text = str(error).strip().splitlines() or [type(error).__name__]
-            raise self._stopped(f"Exudyn: {text[0]}", "") from error
+        except exu.SolverError as error:
+            raise self._failed(solver, step) from error
+        except Exception as error:  # of functions in Python that Exudyn calls
+            raise self._raised(error) from error
         finally:
             self._add_work(powers, first)
         if reached < len(part.times) - 1 and not has_other_rows:
-            raise self._not_converged(solver, step)
+            raise self._failed(solver, step)
         return reached, has_other_rows
 
     def _read(self) -> None:
@@ -223,19 +234,14 @@ class Run:
     def _add_work(self, powers: Sequence[tuple[float, float]], first: int) -> None:
         """Add the work since the start of a part to the state and to the outputs from number `first` on.
 
-        A cubic spline through the powers has an integration error of order 4, which is small beside that of
-        the motion.
-
         Args:
             powers: times, s, and powers, W, at the start and after each step.
             first: number of the first output after the start of the part.
         """
-        if len(powers) < 2:
+        if not powers:
             return
-        from scipy.interpolate import CubicSpline
-
         times, values = np.array(powers).T
-        work = self._q[-1] + CubicSpline(times, values).antiderivative()(times)
+        work = self._q[-1] + integrals(times, values)
         for k in range(first, len(self.outputs)):
             output = self.outputs[k]
             at = int(np.argmin(np.abs(times - output.time)))
@@ -265,18 +271,24 @@ class Run:
         integration.newton.useModifiedNewton = not self._equations.model.equations
         return settings
 
-    def _not_converged(self, solver: Any, step: float) -> IntegrationError:
+    def _failed(self, solver: Any, step: float) -> IntegrationError:
         """Return the error of a run whose equations Exudyn's solver could not solve at a step, s."""
-        reported = solver.GetErrorString() or "the solver ended without a reason"
-        if not solver.conv.linearSolverFailed:
-            reason = f"Exudyn's Newton iteration did not converge at a step of {step:.3g} s ({reported})"
-            return self._stopped(reason, f"use a step shorter than {step:.3g} s")
-        joint = self._equations.owner(solver.conv.linearSolverCausingRow)
-        at_joint = f" at joint {quoted(joint)}" if joint else ""
-        reason = f"Exudyn's equations are singular{at_joint} at a step of {step:.3g} s ({reported})"
-        return self._stopped(
-            reason, "use a shorter step, or start from a state farther from the singular one"
-        )
+        is_singular = solver.conv.linearSolverFailed
+        what = "equations are singular" if is_singular else "Newton iteration did not converge"
+        remedy = f"use a step shorter than {step:.3g} s"
+        if is_singular:
+            remedy += ", or start farther from the singular state"
+        reason = f"Exudyn's {what} at a step of {step:.3g} s ({solver.GetErrorString()})"
+        return self._stopped(reason, remedy)
+
+    def _raised(self, error: Exception) -> IntegrationError:
+        """Return the error of a run that stops by an error in Python, which Exudyn may have wrapped."""
+        origin = error.__cause__ or error
+        text = (str(origin).strip().splitlines() or ["no reason"])[0]
+        if isinstance(origin, SingularityError):
+            return self._stopped(text, "use a shorter step" if self._time else "start from another state")
+        kind = type(origin).__name__
+        return self._stopped(f"{kind}: {text}", "correct the force or the law that raises this error")
 
     def _stopped(self, reason: str, remedy: str) -> IntegrationError:
         """Return the error of a run that stops at the present time."""
@@ -284,5 +296,4 @@ class Run:
         equations.time = self._time
         state = equations.state(self._q, self._v)
         at = surroundings(scene, state, self._time)
-        causes = with_likely_causes(scene, state, reason, at)
-        return IntegrationError(self._time, f"{causes}; {remedy}" if remedy else causes)
+        return IntegrationError(self._time, f"{with_likely_causes(scene, state, reason, at)}; {remedy}")

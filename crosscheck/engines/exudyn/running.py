@@ -75,13 +75,6 @@ class IndependentRows:
 class RunningSystem(ExudynSystem):
     """Equations of a scene whose system of Exudyn a solver runs."""
 
-    def owner(self, row: int) -> str:
-        """Return the name of the joint whose equation is a row of Exudyn's system matrix; "" for none."""
-        for each in self.model.rows:
-            if each.joint is not None and self.solver.GetODE2size() + each.equation == row:
-                return self.mechanism.joint_names[each.joint]
-        return ""
-
     def start(self, q: Array, v: Array, acceleration: Array, multipliers: Array) -> None:
         """Make a state the initial one of Exudyn's solvers, and the present one.
 

@@ -9,24 +9,41 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from numbers import Real
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from crosscheck.engines.exudyn.run import INTEGRATORS, IntegratorName, Part, Run
+from crosscheck.engines.exudyn.run import INTEGRATORS, IntegratorName, Output, Part, Run
 from newton_euler.arguments import checked
 from newton_euler.equations.system import Observation
 from newton_euler.errors import OptionError, UnknownNameError
 from newton_euler.integrators.options import MAX_FIXED_STEPS
 from newton_euler.model.scene import Scene
-from newton_euler.model.trajectory import Trajectory
+from newton_euler.model.trajectory import StoppedError, Trajectory
 from newton_euler.runs.intervals import Interval, intervals
 from newton_euler.runs.simulate import trajectory_from
 from newton_euler.scalars import Array
 
 MAX_STEP = 1e-3
 """Default step, s."""
+
+
+class Done(NamedTuple):
+    """A run of Exudyn's solver whose outputs are not evaluated yet.
+
+    Attributes:
+        outputs: states at the output times that were reached.
+        settings: settings of the run.
+        wall_time: duration of the run, s.
+        stopped: the error that ended the run early; None if the run is complete.
+    """
+
+    outputs: Sequence[Output]
+    settings: dict[str, Any]
+    wall_time: float
+    stopped: StoppedError | None
 
 
 @checked
@@ -46,22 +63,9 @@ def simulate(
         NewtonEulerError: for an unknown integrator, an impossible step, or a run that stops early, with the
             trajectory so far.
     """
-    if integrator not in INTEGRATORS:
-        raise UnknownNameError("integrator", integrator, INTEGRATORS)
-    largest = _checked_step(scene, step)
-    plan = [(interval, list(_parts(interval, largest))) for interval in intervals(scene, scene.jumps)]
-    run = Run(scene, integrator)
-    start = time.perf_counter()
-    stopped = run.run(plan)
-    wall_time = time.perf_counter() - start
-    parts = [part for _, of_interval in plan for part in of_interval]
-    settings = {
-        "integrator": integrator,
-        "step": max(part.step for part in parts),
-        "steps": sum(part.steps * (len(part.times) - 1) for part in parts),
-    }
+    done = run(scene, integrator, step)
     evaluations, coupling_residuals = list[Observation](), list[Array]()
-    for output in run.outputs:
+    for output in done.outputs:
         equations = output.equations
         equations.scene, equations.time = output.scene, output.time
         if scene.needs_accelerations:
@@ -71,7 +75,30 @@ def simulate(
         else:
             evaluations.append(equations.observe(output.q, output.v))
         coupling_residuals.append(equations.coupling_phi(output.q))
-    return trajectory_from(scene, "exudyn", settings, wall_time, evaluations, coupling_residuals, stopped)
+    return trajectory_from(
+        scene, "exudyn", done.settings, done.wall_time, evaluations, coupling_residuals, done.stopped
+    )
+
+
+def run(scene: Scene, integrator: IntegratorName, step: float | None) -> Done:
+    """Run a solver of Exudyn without evaluating the outputs; arguments and errors as of `simulate`.
+
+    An error that stops the run early is not raised, but an attribute of the result.
+    """
+    if integrator not in INTEGRATORS:
+        raise UnknownNameError("integrator", integrator, INTEGRATORS)
+    largest = _checked_step(scene, step)
+    plan = [(interval, list(_parts(interval, largest))) for interval in intervals(scene, scene.jumps)]
+    parts = [part for _, of_interval in plan for part in of_interval]
+    settings = {
+        "integrator": integrator,
+        "step": max(part.step for part in parts),
+        "steps": sum(part.steps * (len(part.times) - 1) for part in parts),
+    }
+    solver_run = Run(scene, integrator)
+    start = time.perf_counter()
+    stopped = solver_run.run(plan)
+    return Done(solver_run.outputs, settings, time.perf_counter() - start, stopped)
 
 
 def _checked_step(scene: Scene, step: float | None) -> float:

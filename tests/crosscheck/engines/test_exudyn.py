@@ -15,6 +15,7 @@ pytest.importorskip("exudyn")
 
 from crosscheck.engines.exudyn import ENGINE
 from crosscheck.engines.exudyn.equations import ExudynSystem
+from crosscheck.engines.exudyn.run import integrals
 from crosscheck.engines.exudyn.running import IndependentRows, RunningSystem
 from crosscheck.engines.exudyn.simulate import simulate
 from crosscheck.engines.limits import CannotExpressError
@@ -26,7 +27,7 @@ from crosscheck.studies.stress.noise import MECHANISMS, NOISE_SENSITIVITY
 from newton_euler import simulate as reference
 from newton_euler.equations.redundancy import constraint_rank, rows_left_out
 from newton_euler.equations.system import dimensionless_jacobian
-from newton_euler.errors import OptionError, UnknownNameError
+from newton_euler.errors import OptionError, SingularityError, UnknownNameError
 from newton_euler.model.armatures import Armature, BallArmature
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD, ComputedTorque, StateFeedback
@@ -310,12 +311,75 @@ def test_a_run_that_stops_has_its_outputs():
     np.testing.assert_allclose(caught.value.partial.time, [0.0, 0.1, 0.2])
 
 
+@pytest.mark.parametrize("time", [0.0, 0.25])
+def test_singular_equations_at_a_sample_stop_the_run_there(time, monkeypatch):
+    solve = RunningSystem.solve
+
+    def singular(system, q, v):
+        if system.time >= time:
+            raise SingularityError("hinge", "planted")
+        return solve(system, q, v)
+
+    monkeypatch.setattr(RunningSystem, "solve", singular)
+    law = Sampled("hinge", lambda time, x, rate: 0.0, period=0.05)
+    with pytest.raises(IntegrationError) as caught:
+        ENGINE.simulate(driven_swing(law))  # also with the shortest step
+    assert caught.value.time == pytest.approx(time)
+    assert "planted" in caught.value.reason
+    if time:
+        assert caught.value.partial is not None
+        np.testing.assert_allclose(caught.value.partial.time, [0.0, 0.1, 0.2])
+    else:
+        assert caught.value.partial is None
+
+
 def test_newton_iterations_that_do_not_converge(capfd):
     with pytest.raises(IntegrationError) as caught:
         simulate(load("andrews"), step=5e-3)
     assert "\n" not in str(caught.value)
+    assert 0.01 < caught.value.time < 0.05
+    # the step, which is that of the outputs; what Exudyn reported; and a remedy
+    for part in ("a step of 0.001 s", "reduction of step size", "use a step shorter than 0.001 s"):
+        assert part in caught.value.reason
     assert caught.value.partial is not None
+    assert caught.value.partial.time[-1] <= caught.value.time
     assert capfd.readouterr() == ("", "")
+
+
+def test_singular_equations_of_the_solver_are_reported(monkeypatch):
+    """A run with all rows of an overconstrained suspension, which Exudyn's solver cannot have."""
+    monkeypatch.setattr(IndependentRows, "__init__", lambda rows, scene: setattr(rows, "left_out", []))
+    scene = MECHANISMS["double_wishbone"](0.0)
+    with pytest.raises(IntegrationError) as caught:
+        simulate(scene)
+    assert caught.value.time == 0.0
+    for part in ("a step of 0.001 s", "Jacobian singular", "use a step shorter than 0.001 s"):
+        assert part in caught.value.reason
+
+
+def test_errors_of_laws_within_steps_stop_the_run(monkeypatch):
+    def fails(system, multipliers):
+        if system.time > 0.2:
+            raise ValueError("no power")
+        return 0.0
+
+    monkeypatch.setattr(RunningSystem, "power", fails)
+    with pytest.raises(IntegrationError) as caught:
+        simulate(driven_swing(PD("hinge", 8.0, 0.5, 0.6)))
+    assert caught.value.time == pytest.approx(0.201)
+    assert "no power" in caught.value.reason
+    assert caught.value.partial is not None
+    np.testing.assert_allclose(caught.value.partial.time, [0.0, 0.1, 0.2])
+
+
+def test_work_is_integrated_with_order_four():
+    errors = []
+    for count in (50, 100):
+        times = np.linspace(0.0, 2.0, count + 1)
+        errors.append(np.max(np.abs(integrals(times, np.cos(3.0 * times)) - np.sin(3.0 * times) / 3.0)))
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.2)
+    np.testing.assert_allclose(integrals(np.array([0.0, 0.5]), np.array([1.0, 3.0])), [0.0, 1.0])
+    np.testing.assert_allclose(integrals(np.zeros(1), np.ones(1)), [0.0])
 
 
 def test_runs_print_nothing(capfd):
@@ -384,14 +448,25 @@ def test_benchmarks():
     scene = replace(load("pendulum"), duration=0.2)
     (load_scene,) = ENGINE.benchmarks().models(scene).values()
     model = load_scene()
+    exact = reference(scene)
     for ladder in model.ladders:
-        _, options = ladder.setting(10)
-        run = model.run(options)
-        position, quaternion = run.poses()
-        exact = reference(scene)
-        np.testing.assert_allclose(position, exact.position, atol=1e-5)
-        np.testing.assert_allclose(quaternion, exact.quaternion, atol=1e-5)
-        assert run.evaluations == 200
+        assert 6 <= len(ladder.numbers) <= 10
+        errors = []
+        for number in (1, 10):
+            _, options = ladder.setting(number)
+            run = model.run(options)
+            position, quaternion = run.poses()
+            assert quaternion.shape == exact.quaternion.shape
+            assert run.evaluations == 20 * number
+            errors.append(np.max(np.abs(position - exact.position)))
+        assert errors[1] < 1e-5
+        assert errors[0] / errors[1] == pytest.approx(100.0, rel=0.2)  # order 2
+
+
+def test_a_benchmark_of_a_run_that_stops_is_an_error():
+    (load_scene,) = ENGINE.benchmarks().models(load("andrews")).values()
+    with pytest.raises(IntegrationError):
+        load_scene().run({"step": 1e-3, "integrator": "generalized_alpha"})
 
 
 def test_settings_of_stress_tests():
