@@ -1,4 +1,4 @@
-"""Hooks of the site, called by MkDocs: commands, mathematics as MathML, code to copy, folded tables.
+"""Hooks of the site, called by MkDocs: version, tables of commands and names, formulas, copied code, folding.
 
 Formulas are written in LaTeX between dollar signs. They become MathML when the site is built, which browsers
 render without scripts, fonts or a network. `latex2mathml` converts them.
@@ -8,14 +8,30 @@ from __future__ import annotations
 
 import html
 import re
+import subprocess
 from collections.abc import Iterator
+from importlib import metadata
 from inspect import cleandoc
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from latex2mathml.converter import convert
 
 if TYPE_CHECKING:
+    from mkdocs.config.defaults import MkDocsConfig
     from mkdocs.structure.pages import Page
+
+DOCS = Path(__file__).parent
+
+BOOSTS = {
+    "tutorial": 1.5,
+    "how_to": 1.5,
+    "explanation": 1.3,
+    "reference": 1.3,
+    "reference/python": 0.8,
+    "results": 0.5,
+}
+"""Factors on the score of the pages of a folder in the search; 1 for others."""
 
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
 NUMBER = re.compile(r"\\tag\{([^}]*)\}")
@@ -33,50 +49,125 @@ TABLE = re.compile(r"<table>(.*?)</table>(\s*<p>Table: .*?</p>)?", re.DOTALL)
 MAX_OPEN_ROWS = 16
 """Rows of the longest table of results that is shown unfolded."""
 
+COMMANDS = re.compile("<!-- commands: (.+) -->")
+"""Place in a page that takes the help of the commands of a task."""
 
-COMMANDS = "<!-- commands -->"
-"""Place in a page that takes the help of all commands."""
+TABLE_OF_COMMANDS = "<!-- table of commands -->"
+"""Place in a page that takes a table of all commands with links."""
 
 EXPLANATIONS = "<!-- explanations -->"
 """Place in a page that takes the texts of `crosscheck explain`."""
 
-HELP_WIDTH = 100
-"""Width of the options of commands, characters."""
+INDEX_OF_NAMES = "<!-- index of names -->"
+"""Place in a page that takes a table of all public names with links."""
+
+NAME = re.compile(r"^::: (\S+)\n(?: +options:\n(?: +(?:heading: (.+)|.*)\n)*)?", re.MULTILINE)
+"""A name that mkdocstrings documents, and its heading if it is not the name."""
+
+HELP_WIDTH = 80
+"""Width of the help of commands, characters, as terminals have it."""
 
 
-def on_page_markdown(markdown: str, **_: object) -> str:
-    """Insert the help of all commands, and the texts of `crosscheck explain`."""
-    if COMMANDS in markdown:
-        markdown = markdown.replace(COMMANDS, "\n".join(commands()))
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Set the version of the footer."""
+    config.copyright = version_note()
+    return config
+
+
+def version_note() -> str:
+    """Return the version that the site describes: tag or commit with its date, or the installed version."""
+    describe = "describe", "--tags", "--always", "--dirty=, with local changes"
+    try:
+        version, date = (git(*command) for command in (describe, ("log", "-1", "--format=%cs")))
+    except (OSError, subprocess.CalledProcessError):  # no git, or sources without a repository
+        return f"crosscheck {metadata.version('crosscheck-dynamics')}"
+    return f"crosscheck, version {html.escape(version)} of {date}"
+
+
+def git(*command: str) -> str:
+    """Return the output of a git command in the repository of the documentation."""
+    return subprocess.run(
+        ["git", "-C", str(DOCS), *command], capture_output=True, text=True, check=True
+    ).stdout.strip()
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, **_: object) -> str:
+    """Insert the help and tables of commands, explanations and names; rank pages for the search."""
+    folder = page.file.src_uri.rpartition("/")[0]
+    page.meta.setdefault("search", {})["boost"] = BOOSTS.get(folder, 1.0)
+    if TABLE_OF_COMMANDS in markdown:
+        markdown = markdown.replace(TABLE_OF_COMMANDS, "\n".join(table_of_commands()))
     if EXPLANATIONS in markdown:
         from crosscheck.report.explain import explanation_markdown
 
         markdown = markdown.replace(EXPLANATIONS, "\n".join(explanation_markdown()))
-    return markdown
+    if INDEX_OF_NAMES in markdown:
+        markdown = markdown.replace(INDEX_OF_NAMES, "\n".join(index_of_names(config)))
+    return COMMANDS.sub(lambda place: "\n".join(commands(place[1])), markdown)
 
 
-def commands() -> Iterator[str]:
-    """Yield the help of all commands by task, in lines of Markdown."""
+def table_of_commands() -> Iterator[str]:
+    """Yield the lines of a table of all commands, with links to the pages of their tasks."""
+    from crosscheck.cli.help import TASKS
+    from crosscheck.cli.shared import cli
+
+    pages = {
+        task: page.name
+        for page in (DOCS / "reference" / "commands").glob("*.md")
+        for task in COMMANDS.findall(page.read_text())
+    }
+    yield "| task | command | what the command does |\n|---|---|---|"
+    for task, names in TASKS.items():
+        for name in names:
+            what = cli.commands[name].get_short_help_str(limit=200)
+            yield f"| {task} | [`{name}`](commands/{pages[task]}#crosscheck-{name}) | {what} |"
+
+
+def commands(task: str) -> Iterator[str]:
+    """Yield the help of the commands of a task, in lines of Markdown."""
     from crosscheck.cli.help import TASKS, Command
     from crosscheck.cli.shared import cli
 
     context = cli.make_context(
         "crosscheck", ["list"], max_content_width=HELP_WIDTH, terminal_width=HELP_WIDTH
     )
-    for task, names in TASKS.items():
-        yield f"## {task}\n"
-        for name in names:
-            command = cli.commands[name]
-            assert isinstance(command, Command)
-            yield f"### crosscheck {name}\n\n{cleandoc(command.help or '')}\n"
-            with context.scope():
-                inner = command.context_class(command, info_name=name, parent=context)
-                formatter = inner.make_formatter()
-                command.format_usage(inner, formatter)
-                command.format_options(inner, formatter)
-            yield f"```text\n{formatter.getvalue()}```\n"
-            lines = [f"# {what}\n$ {line}\n" for what, line in command.examples.items()]
-            yield f"```console\n{''.join(lines)}```\n"
+    for name in TASKS[task]:
+        command = cli.commands[name]
+        assert isinstance(command, Command)
+        yield f"## crosscheck {name}\n\n{cleandoc(command.help or '')}\n"
+        with context.scope():
+            inner = command.context_class(command, info_name=name, parent=context)
+            formatter = inner.make_formatter()
+            command.format_usage(inner, formatter)
+            command.format_options(inner, formatter)
+        yield f"```text\n{formatter.getvalue()}```\n"
+        lines = [f"# {what}\n$ {line}\n" for what, line in command.examples.items()]
+        yield f"```console\n{''.join(lines)}```\n"
+
+
+def index_of_names(config: MkDocsConfig) -> Iterator[str]:
+    """Yield the lines of a table of the names that the pages of the Python reference document."""
+    yield "| page | names |\n|---|---|"
+    for path in pages_of(config.nav, "reference/python/"):
+        text = (DOCS / path).read_text()
+        title, page = text.partition("\n")[0].removeprefix("# "), path.removeprefix("reference/")
+        links = []
+        for name, heading in NAME.findall(text):
+            package, _, last = name.rpartition(".")
+            is_public = "." not in package and package != "newton_euler"
+            label = (heading or (name if is_public else last)).removeprefix("newton_euler.")
+            links.append(f'<a id="{name}"></a>[`{label}`]({page}#{name})')
+        yield f"| [{title}]({page}) | {', '.join(links)} |"
+
+
+def pages_of(nav: object, folder: str) -> Iterator[str]:
+    """Yield the paths of the pages in a folder, in the order of the navigation."""
+    if isinstance(nav, str):
+        if nav.startswith(folder):
+            yield nav
+        return
+    for entry in nav.values() if isinstance(nav, dict) else nav if isinstance(nav, list) else ():
+        yield from pages_of(entry, folder)
 
 
 def on_page_content(content: str, page: Page, **_: object) -> str:

@@ -1,14 +1,22 @@
-"""Site of the documentation: formulas, copied commands, folded tables, alternative texts."""
+"""Site of the documentation: version, names, formulas, copied commands, folded tables, alternative texts."""
 
 from __future__ import annotations
 
 import importlib.util
+import json
+import os
 import re
+import subprocess
+import sys
+from importlib.metadata import version
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from xml.etree import ElementTree
 
 import pytest
+import yaml
+
+from crosscheck.cli.help import TASKS
 
 ROOT = Path(__file__).parents[1]
 
@@ -16,6 +24,26 @@ PAGES = sorted(str(page.relative_to(ROOT)) for page in (ROOT / "README.md", *ROO
 
 FENCE = re.compile(r"^```.*?^```$|`[^`\n]*`", re.MULTILINE | re.DOTALL)
 
+
+TERMS = (
+    "limitations",
+    "Monte Carlo",
+    "Jacobian",
+    "license",
+    "drift",
+    "solref",
+    "timestep",
+    "closed loop",
+    "inertia",
+    "URDF",
+    "Drake",
+    "Exudyn",
+    "SDF",
+    "contact",
+    "friction",
+    "Baumgarte",
+)
+"""Terms that readers search for."""
 
 MATHML = "{http://www.w3.org/1998/Math/MathML}"
 
@@ -105,9 +133,68 @@ def test_formulas_are_closed(page):
         assert FENCE.sub("", (ROOT / page).read_text()).count("$") % 2 == 0
 
 
-@pytest.mark.parametrize(
-    "term", ["limitations", "Monte Carlo", "Jacobian", "license", "Baumgarte", "closed loop", "drift"]
-)
+@pytest.mark.parametrize("term", TERMS)
 def test_terms_of_the_field_occur_in_pages(term):
     """The search of the site finds words of pages only."""
     assert [page for page in PAGES if term.lower() in (ROOT / page).read_text().lower()]
+
+
+def test_the_footer_has_the_version_and_its_date(hooks):
+    def git(*command: str) -> str:
+        done = subprocess.run(["git", "-C", str(ROOT), *command], capture_output=True, text=True, check=True)
+        return done.stdout.strip()
+
+    note = hooks.version_note()
+    if (ROOT / ".git").exists():
+        assert git("rev-parse", "--short", "HEAD") in note
+        assert git("log", "-1", "--format=%cs") in note
+    else:
+        assert version("crosscheck-dynamics") in note
+
+
+def test_tasks_of_commands_have_one_page_each(hooks):
+    pages = [page.read_text() for page in (ROOT / "docs" / "reference" / "commands").glob("*.md")]
+    assert sorted(task for page in pages for task in hooks.COMMANDS.findall(page)) == sorted(TASKS)
+
+
+def test_the_index_of_names_has_all_public_names(hooks):
+    nav = ["reference/python/simulate.md", {"Forces": ["reference/python/forces.md", "index.md"]}]
+    rows = list(hooks.index_of_names(SimpleNamespace(nav=nav)))[1:]
+    assert [row.split("]")[0] for row in rows] == [
+        "| [Simulate",
+        "| [Springs, dampers and friction of joints",
+    ]
+    assert "[`simulate`](python/simulate.md#newton_euler.runs.simulate.simulate)" in rows[0]
+    assert "[`JointSpring`](python/forces.md#newton_euler.JointSpring)" in rows[1]
+    listed = set(hooks.pages_of(navigation(), "reference/python/"))
+    assert listed == {
+        str(page.relative_to(ROOT / "docs")) for page in (ROOT / "docs/reference/python").iterdir()
+    }
+
+
+def navigation() -> object:
+    """The navigation of the site, without the tags of MkDocs."""
+    text = (ROOT / "mkdocs.yml").read_text()
+    return yaml.safe_load(text[text.index("nav:") :])["nav"]
+
+
+@pytest.mark.slow  # builds the site
+def test_the_site_is_built_with_links_to_edit_next_pages_and_a_search_index(tmp_path):
+    pytest.importorskip("mkdocs")
+    links = {"DOCS_REPO_URL": "https://example.org/mine", "DOCS_EDIT_URI": "edit/main/docs/"}
+    subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", tmp_path],
+        cwd=ROOT,
+        env=os.environ | links | {"PYTHONPATH": str(ROOT), "NO_MKDOCS_2_WARNING": "1"},
+        check=True,
+    )
+    page = (tmp_path / "explanation" / "coverage" / "index.html").read_text()
+    assert 'href="https://example.org/mine/edit/main/docs/explanation/coverage.md"' in page
+    assert re.search('<a href="[^"]*" class="md-footer__link md-footer__link--prev"', page)
+    assert re.search('<a href="[^"]*" class="md-footer__link md-footer__link--next"', page)
+    assert re.search(r'<div class="md-copyright__highlight">\s*crosscheck', page)
+    loaded = re.findall(r'<(?:script|img|link)[^>]*(?:src|href)="(https?:[^"]*)"', page)
+    assert loaded == []  # the site works without a network
+    index = json.loads((tmp_path / "search" / "search_index.json").read_text())
+    texts = [f"{entry['title']} {entry['text']}".lower() for entry in index["docs"]]
+    assert [term for term in TERMS if not any(term.lower() in text for text in texts)] == []
