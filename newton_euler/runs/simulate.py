@@ -314,6 +314,51 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
     """
     if options.rest:
         raise OptionError("rest", options.rest, f"0: runs of {engine} do not skip steps at rest")
+    found = integrate_scene(system, options)
+    settings = settings | options.as_settings() | {"steps": found.steps, "evaluations": found.evaluations}
+    return trajectory_of_states(system.scene, engine, settings, found)
+
+
+class OutputState(NamedTuple):
+    """State of a run at an output time.
+
+    Attributes:
+        system: equations that evaluate the state.
+        time: s.
+        q: (nq,) coordinates.
+        v: (nv,) velocities.
+    """
+
+    system: System
+    time: float
+    q: Array
+    v: Array
+
+
+class IntegratedStates(NamedTuple):
+    """States of a run before their evaluation.
+
+    Attributes:
+        outputs: states at the output times that the run reached.
+        wall_time: duration of the integration, s.
+        steps, evaluations: numbers of steps, and of evaluations of the equations.
+        stopped: the error that ended the run early; None if it is complete.
+    """
+
+    outputs: list[OutputState]
+    wall_time: float
+    steps: int
+    evaluations: int
+    stopped: IntegrationError | None
+
+
+def integrate_scene(system: System, options: Options) -> IntegratedStates:
+    """Integrate a system of equations that Python evaluates, over the duration of its scene.
+
+    Args:
+        system: equations of motion of an engine.
+        options: integrator and step control; `rest` is not used.
+    """
     # the start
     scene = system.scene
     options.check_steps(scene.duration)
@@ -346,33 +391,14 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
         if stopped:
             break
     wall_time = time.perf_counter() - start
-    settings = settings | options.as_settings() | dict(counts)
-    return trajectory_of_states(scene, engine, settings, wall_time, rows, stopped)
-
-
-class OutputState(NamedTuple):
-    """State of a run at an output time.
-
-    Attributes:
-        system: equations that evaluate the state.
-        time: s.
-        q: (nq,) coordinates.
-        v: (nv,) velocities.
-    """
-
-    system: System
-    time: float
-    q: Array
-    v: Array
+    return IntegratedStates(rows, wall_time, counts["steps"], counts["evaluations"], stopped)
 
 
 def trajectory_of_states(
     scene: Scene,
     engine: str,
     settings: dict[str, Any],
-    wall_time: float,
-    rows: Iterable[OutputState],
-    stopped: StoppedError | None = None,
+    found: IntegratedStates,
 ) -> Trajectory:
     """Evaluate the states of a run at the output times, and build its trajectory.
 
@@ -380,12 +406,12 @@ def trajectory_of_states(
     arguments and errors see `trajectory_from`.
 
     Args:
-        scene, engine, settings, wall_time: see `trajectory_from`.
-        rows: states at the output times reached.
-        stopped: the error that ended the run early.
+        scene, engine, settings: see `trajectory_from`.
+        found: the states.
     """
     evaluations, coupling_residuals = list[Observation](), list[Array]()
-    for system, t, q, v in rows:
+    stopped = found.stopped
+    for system, t, q, v in found.outputs:
         now = at_time(system, t)
         try:
             with np.errstate(all="ignore"):  # `trajectory_from` checks that numbers are finite
@@ -396,7 +422,7 @@ def trajectory_of_states(
             break
         evaluations.append(evaluation)
         coupling_residuals.append(residuals)
-    return trajectory_from(scene, engine, settings, wall_time, evaluations, coupling_residuals, stopped)
+    return trajectory_from(scene, engine, settings, found.wall_time, evaluations, coupling_residuals, stopped)
 
 
 def trajectory_from(

@@ -19,17 +19,19 @@ from crosscheck.engines.benchmarks import (
     Model,
     Models,
     Options,
+    Poses,
     RightHandSide,
     Run,
     output_interval,
     step_ladder,
 )
 from crosscheck.engines.drake.equations import DrakeSystem
-from crosscheck.engines.drake.simulate import simulate
-from crosscheck.engines.drake.solvers import SolverName, limits_of_solver, simulate_with
+from crosscheck.engines.drake.solvers import SolverName, integrate_with, limits_of_solver
+from newton_euler.equations.system import at_time
+from newton_euler.integrators.options import Options as IntegratorOptions
 from newton_euler.model.scene import Scene
-from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.excitation import random_states
+from newton_euler.runs.simulate import IntegratedStates, integrate_scene
 
 TOLERANCES = range(3, 14, 2)
 """Negative decimal logarithms of the tolerances of DOP853. At finer ones its steps fail on the round-off of
@@ -38,7 +40,7 @@ equations with loops."""
 ACCURACIES = (3, 5, 7, 9, 11, 12, 13)
 """Negative decimal logarithms of the accuracies of `runge_kutta5`."""
 
-STEPS_PER_OUTPUT = (1, 2, 5, 10, 20, 50, 100)
+STEPS_PER_OUTPUT = (1, 2, 5, 10, 20, 50)
 """Numbers of SAP's steps from one output to the next."""
 
 
@@ -66,21 +68,33 @@ def _tolerances(number: int) -> tuple[str, Options]:
     return f"rtol 1e-{number}", {"rtol": 10.0**-number, "atol": 10.0 ** -(number + 2)}
 
 
-def _run(trajectory: Trajectory) -> Run:
-    """Return the timed run of a trajectory."""
-    poses = trajectory.position, trajectory.quaternion
-    return Run(trajectory.wall_time, trajectory.settings["evaluations"], lambda: poses)
+def _run(found: IntegratedStates) -> Run:
+    """Return the timed run of integrated states; raises the error of a run that stopped."""
+    if found.stopped:
+        raise found.stopped
+
+    def poses() -> Poses:
+        """Evaluate the poses of the states."""
+        states = [at_time(each.system, each.time).state(each.q, each.v) for each in found.outputs]
+        positions = [state.position for state in states]
+        return np.array(positions), np.array([state.quaternion for state in states])
+
+    return Run(found.wall_time, found.evaluations, poses)
 
 
 def _equations(scene: Scene) -> Model:
     """Load a scene for DOP853 with Drake's equations."""
     ladder = Ladder("DOP853", _tolerances, TOLERANCES, {})
-    return Model([ladder], lambda options: _run(simulate(scene, **options)))
+
+    def run(options: Options) -> Run:
+        return _run(integrate_scene(DrakeSystem(scene), IntegratorOptions(**options)))
+
+    return Model([ladder], run)
 
 
 def _own_model(scene: Scene, ladder: Ladder) -> Model:
     """Load a scene for a solver of Drake."""
-    return Model([ladder], lambda options: _run(simulate_with(scene, **options)))
+    return Model([ladder], lambda options: _run(integrate_with(scene, options)))
 
 
 def _right_hand_side(scene: Scene) -> RightHandSide:

@@ -13,7 +13,7 @@ a run are those of `DrakeSystem` at its states.
 from __future__ import annotations
 
 import time
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from pydrake.common.value import Value
@@ -27,6 +27,7 @@ from crosscheck.engines.drake.equations import DrakeSystem
 from crosscheck.engines.drake.placed import spatial_forces
 from crosscheck.engines.drake.plant import NAME, Anchors, Plant, build
 from crosscheck.engines.drake.turned_balls import TurnedBalls
+from crosscheck.engines.engine import Settings
 from crosscheck.engines.limits import Limit, require_expressed
 from newton_euler.arguments import checked
 from newton_euler.equations.couplings import couplings
@@ -36,7 +37,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.trajectory import IntegrationError, Trajectory
 from newton_euler.runs.assemble import initial_state
-from newton_euler.runs.simulate import OutputState, trajectory_of_states
+from newton_euler.runs.simulate import IntegratedStates, OutputState, trajectory_of_states
 from newton_euler.scalars import Array
 
 SolverName = Literal["SAP", "runge_kutta5"]
@@ -58,24 +59,6 @@ MAX_TURN = 0.3
 
 MAX_SPIN = 1e5
 """Angular velocity of a ball, rad/s, at which a run has diverged."""
-
-
-class OwnRun(NamedTuple):
-    """States of a run by a solver of Drake.
-
-    Attributes:
-        rows: states at the outputs that the run reached: tree coordinates with the work, J, and tree
-            velocities.
-        seconds: duration of the steps.
-        steps, evaluations: numbers of steps, and of evaluations of the equations.
-        stopped: the error that ended the run early, if any.
-    """
-
-    rows: list[OutputState]
-    seconds: float
-    steps: int
-    evaluations: int
-    stopped: IntegrationError | None
 
 
 def limits_of_solver(scene: Scene, solver: SolverName) -> list[Limit]:
@@ -129,10 +112,22 @@ def simulate_with(
         if not MIN_ACCURACY <= settings["accuracy"] < 1.0:
             raise OptionError("accuracy", accuracy, f"at least {MIN_ACCURACY:g} and below 1")
     require_expressed(NAME, limits_of_solver(scene, solver))
-    equations = DrakeSystem(scene)
-    run = _Run(equations, settings.get("step", 0.0), settings.get("accuracy", 0.0)).run()
-    settings |= {"steps": run.steps, "evaluations": run.evaluations}
-    return trajectory_of_states(scene, NAME, settings, run.seconds, run.rows, run.stopped)
+    found = integrate_with(scene, settings)
+    settings |= {"steps": found.steps, "evaluations": found.evaluations}
+    return trajectory_of_states(scene, NAME, settings, found)
+
+
+def integrate_with(scene: Scene, settings: Settings) -> IntegratedStates:
+    """Integrate a scene with a solver of Drake that can run it.
+
+    Args:
+        scene: the scene.
+        settings: `step` of SAP, s, which divides the time between outputs, or `accuracy` of "runge_kutta5".
+
+    Returns:
+        The states: tree coordinates with the work, J, and tree velocities.
+    """
+    return _Run(DrakeSystem(scene), settings.get("step", 0.0), settings.get("accuracy", 0.0)).run()
 
 
 def _step(scene: Scene, step: float) -> float:
@@ -191,7 +186,7 @@ class _Run:
             self._integrator.set_target_accuracy(accuracy)
             self._integrator.set_throw_on_minimum_step_size_violation(True)
 
-    def run(self) -> OwnRun:
+    def run(self) -> IntegratedStates:
         """Simulate the scene, and return the states at its output times."""
         q, v = self._equations.coordinates(initial_state(self._scene))
         positions, to_drake = self._equations.placed.positions(q)
@@ -210,9 +205,9 @@ class _Run:
         seconds = time.perf_counter() - start
         if self._step:
             steps = round(self._now() / self._step)
-            return OwnRun(rows, seconds, steps, evaluations=steps, stopped=stopped)
+            return IntegratedStates(rows, seconds, steps, evaluations=steps, stopped=stopped)
         self._count()
-        return OwnRun(rows, seconds, self._steps, self._evaluations, stopped)
+        return IntegratedStates(rows, seconds, self._steps, self._evaluations, stopped)
 
     def _count(self) -> None:
         """Add the counts of the integrator, which begins anew at each initialization."""

@@ -213,7 +213,7 @@ def test_benchmarks_become_more_accurate_from_setting_to_setting():
             max(pose_errors(model.run(options).poses(), (exact.position, exact.quaternion)))
             for _, options in (ladder.setting(ladder.numbers[end]) for end in (0, -1))
         )
-        assert fine < 0.02 * coarse, name  # SAP, of order 1: a hundredth of the step
+        assert fine < 0.03 * coarse, name  # SAP, of order 1: a fiftieth of the step
 
 
 def test_the_registry_has_the_engine():
