@@ -46,7 +46,11 @@ FAST_ELEMENTS = (
 )
 """Elements whose equations are compared in the fast tests."""
 
-ROTORS = ball_scenes.SCENES | {f"armed {name}": sprung(armed(scene)) for name, scene in COMPOUNDS.items()}
+ROTORS = ball_scenes.SCENES | {
+    f"armed {name}": sprung(armed(scene))
+    for name, scene in COMPOUNDS.items()
+    if name not in ball_scenes.SCENES
+}
 """Scenes with rotors, and with springs of Drake's own, on hinges, slides and balls."""
 
 
@@ -110,7 +114,7 @@ def test_a_mechanism_that_cannot_move():
     np.testing.assert_allclose(run.reaction_torque[-1], [[4.0, -2.0, 0.0]], atol=1e-12)
 
 
-@pytest.mark.parametrize(("name", "duration"), [("pendulum", 0.5), ("four_bar", 0.2), ("tracker", 0.05)])
+@pytest.mark.parametrize(("name", "duration"), [("pendulum", 0.5), ("four_bar", 0.2), ("tracker", 0.02)])
 def test_default_runs(name, duration):
     scene = replace(load(name), duration=duration, output_period=0.2 * duration)
     run, exact = ENGINE.simulate(scene), reference(scene, rtol=1e-12, atol=1e-14)

@@ -33,6 +33,10 @@ TREES = {"pendulum", "free_top", "heavy_top", "chain", "flyball_governor"}
 """Scenes of the library without loops, couplings and prescribed motions."""
 
 
+COARSE = ({"solver": "SAP", "step": 0.01}, {"solver": "runge_kutta5", "accuracy": 1e-4})
+"""Settings of runs whose errors do not matter."""
+
+
 def errors(scene, *settings):
     """Return how far runs are from newton_euler's, m or rad."""
     exact = reference(scene, rtol=1e-12, atol=1e-14)
@@ -51,7 +55,7 @@ def short(name, duration, outputs=5):
         ("chain", 0.2, 2e-3),
         ("four_bar", 0.5, 2e-3),  # a ball
         ("bricard", 0.2, 2e-3),  # a weld
-        ("flyball_governor", 0.02, 2e-4),  # stiff springs
+        ("flyball_governor", 0.012, 2e-4),  # stiff springs
         ("tracker", 0.1, 1e-2),  # forces from Python
     ],
 )
@@ -213,9 +217,9 @@ def test_a_state_that_cannot_be_evaluated_ends_the_trajectory(monkeypatch):
         return right(self, q, v)
 
     monkeypatch.setattr(DrakeSystem, "evaluate", evaluate)
-    for solver in ("SAP", "runge_kutta5"):
+    for settings in COARSE:
         with pytest.raises(IntegrationError, match="no solution") as caught:
-            simulate_with(swing(), solver)
+            simulate_with(swing(), **settings)
         np.testing.assert_allclose(caught.value.partial.time, [0.0, 0.1, 0.2])
 
 
