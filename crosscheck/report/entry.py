@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import base64
 import os
+import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -131,9 +132,14 @@ def make_entry(file: Path, results: ResultFile, anchor: str, progress: Progress)
     Raises:
         CrosscheckError: for a run, recording or picture that is missing or differs from the original.
     """
-    report = results.report
-    entry = PageEntry(report, anchor)
     paths = [file.parent / name for name in results.files]
+    views = [
+        f"In the folder of the result, `crosscheck view {shlex.quote(path.name)}` shows the motion in 3-D."
+        for path in paths
+        if path.suffix == ".rrd"
+    ]
+    report = replace(results.report, next_steps=[*results.report.next_steps, *views])
+    entry = PageEntry(report, anchor)
     for path in paths:
         if not os.path.lexists(path):
             raise CrosscheckError(f"{path}: missing, {file.name} beside it was written with it; run it again")

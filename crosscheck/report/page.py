@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -177,7 +178,7 @@ def _overall(index: Sequence[IndexLine], has_entries: bool) -> Report:
         if lines
     ]
     worst: Verdict = "fails" if failing else "doubtful" if doubtful else "holds"
-    steps = [f"Begin with {_names(failing or doubtful, 1)}."] if texts else []
+    steps = [f"Begin with `{_names(failing or doubtful, 1)}`."] if texts else []
     if not has_entries:
         steps.append(
             f"A page shows up to {MAX_FOLDERS_IN_FULL} folders in full. To write the page of one folder, run "
@@ -206,10 +207,10 @@ def _with_count(progress: Progress, count: str) -> Progress:
 
 def _index_line(folder: Path, file: Path, report: Report) -> IndexLine:
     """Make the row of a result file in the list of verdicts."""
-    _, verdict = report.headline  # without the words in capitals at the beginning, which are `judged`
+    word, verdict = report.headline  # the words in capitals at its beginning, which are often `judged`, too
     return IndexLine(
         name=file.parent.relative_to(folder).as_posix(),
-        judged=report.judged,
+        judged=replace(report.judged, text=report.judged.text or word),
         time="" if report.wall_time is None else f"{report.wall_time:.1f}",
         verdict=verdict or report.title,
         command=f"crosscheck report {shlex.quote(str(file.parent))}",

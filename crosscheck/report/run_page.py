@@ -13,6 +13,7 @@ from crosscheck.compare.check import LEVELS, REFERENCE
 from crosscheck.compare.outcome import Outcome, Verdict
 from crosscheck.compare.result import EngineComparison
 from crosscheck.report.chart import BarChart, Measure, linear_chart, log_chart
+from crosscheck.report.explain import names_to_explain
 from crosscheck.report.own_run import fix_texts
 from crosscheck.report.summary import judged_checks, nearest
 from crosscheck.report.table import seconds
@@ -57,7 +58,10 @@ def charts(result: EngineComparison) -> list[BarChart]:
 def next_steps(result: EngineComparison) -> list[str]:
     """List what the reader can do, the most urgent step first."""
     steps = [*_steps_of_outcome(result), *_settings_steps(result), *_coverage_steps(result)]
-    return steps + [f"Change the constraints, {advice}." for advice in result.advice]
+    steps += [f"Change the constraints, {advice}." for advice in result.advice]
+    if commands := ", ".join(f"`crosscheck explain {name}`" for name in names_to_explain(result)):
+        steps.append(f"To learn what the result means, run {commands}.")
+    return steps
 
 
 def _steps_of_outcome(result: EngineComparison) -> Iterator[str]:

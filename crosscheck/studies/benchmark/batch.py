@@ -284,6 +284,15 @@ def parts(result: BatchBenchmark) -> list[Part]:
     return [table, Lines(title="", lines=lines)]
 
 
+def verdict(result: BatchBenchmark) -> str:
+    """Report the highest throughput in one line."""
+    best = max(result.rates, key=lambda rate: rate.per_second, default=None)
+    if best is None:
+        return "no engine can run the batch"
+    threads = f"{best.threads} thread{'s' * (best.threads != 1)}"
+    return f"the highest throughput is {best.per_second:.4g} runs per s, by {best.engine} on {threads}"
+
+
 def charts(result: BatchBenchmark) -> list[BarChart]:
     """Make the chart of the throughput of each engine and number of threads."""
     rates = [

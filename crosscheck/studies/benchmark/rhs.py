@@ -196,6 +196,14 @@ def parts(timings: Sequence[Timing]) -> list[Part]:
     return [Table("", [*text_columns("right-hand side"), *heads], rows), Lines("", notes)]
 
 
+def verdict(timings: Sequence[Timing]) -> str:
+    """Report the fastest right-hand side in one line."""
+    fastest = min((t for t in timings if not t.reason), key=lambda t: t.median, default=None)
+    if fastest is None:
+        return "no engine can run the scene"
+    return f"the fastest evaluation takes {1e6 * fastest.median:.3g} us, by {fastest.way}"
+
+
 def charts(timings: Sequence[Timing]) -> list[BarChart]:
     """Make the chart of the time of each right-hand side."""
     times = [Measure(t.way, 1e6 * t.median, f"{1e6 * t.median:.3g} us") for t in timings if not t.reason]

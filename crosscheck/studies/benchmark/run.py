@@ -68,7 +68,7 @@ class BenchmarkResult(NamedTuple):
         charts: bar charts of the measurements.
         step: what the reader can do with the result.
         picture: plot as the bytes of a PNG file, if the benchmark has one.
-        verdict: the result in one line, or empty.
+        verdict: the result in one line.
         summary: parts that the terminal shows without `-v`; all parts if None.
     """
 
@@ -194,14 +194,16 @@ def _right_hand_sides(wanted: BenchmarkRequest, progress: Progress) -> Benchmark
     timings = rhs.time_right_hand_sides(wanted.scene, wanted.engines, progress)
     step = "For whole runs at equal errors, run the command without `--rhs`: one evaluation has no error."
     data = {"right_hand_sides": [asdict(t) for t in timings]}
-    return BenchmarkResult(data, rhs.parts(timings), rhs.charts(timings), step)
+    return BenchmarkResult(data, rhs.parts(timings), rhs.charts(timings), step, verdict=rhs.verdict(timings))
 
 
 def _batch(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkResult:
     """Measure the throughput of batches of runs from random states."""
     result = batch.benchmark_batch(wanted.scene, wanted.engines, wanted.runs, wanted.error, progress)
     step = "Take the engine with the highest throughput at the number of threads of your machine."
-    return BenchmarkResult(asdict(result), batch.parts(result), batch.charts(result), step)
+    return BenchmarkResult(
+        asdict(result), batch.parts(result), batch.charts(result), step, verdict=batch.verdict(result)
+    )
 
 
 def _sensitivities(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkResult:
@@ -209,7 +211,8 @@ def _sensitivities(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkRes
     costs = sensitivities.time_sensitivities(wanted.scene, progress)
     step = "Expect this cost for runs with derivatives, such as those of `crosscheck identify`."
     data = {"sensitivities": [asdict(cost) for cost in costs]}
-    return BenchmarkResult(data, sensitivities.parts(costs), sensitivities.charts(costs), step)
+    parts, charts = sensitivities.parts(costs), sensitivities.charts(costs)
+    return BenchmarkResult(data, parts, charts, step, verdict=sensitivities.verdict(costs))
 
 
 class FileNames(NamedTuple):

@@ -120,6 +120,17 @@ def parts(costs: Sequence[SensitivityCost]) -> list[Part]:
     return [Table("", heads, rows), Lines("", [note])]
 
 
+def verdict(costs: Sequence[SensitivityCost]) -> str:
+    """Report the cost of a run with the most parameters in one line."""
+    plain, *others = costs
+    if not others:
+        return "no run with derivatives: all come near a singular configuration"
+    most = max(others, key=lambda cost: cost.parameters)
+    return (
+        f"a run with derivatives by {most.parameters} {most.kind} takes {most.ratio(plain):.3g} times as long"
+    )
+
+
 def charts(costs: Sequence[SensitivityCost]) -> list[BarChart]:
     """Make the chart of the times of the runs."""
     times = [

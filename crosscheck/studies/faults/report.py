@@ -134,7 +134,8 @@ def _chart(search: FaultSearch) -> list[BarChart]:
 
 def _next_steps(search: FaultSearch) -> list[str]:
     """List what the reader can do about faults that are not located."""
-    if not list(_misses(search.found, search)):
+    count = count_detected(search.found)
+    if count.located == count.total:
         return ["Rely on a run of this model to find a single fault of these kinds and sizes."]
     return ["Give the model a motion that shows the missed faults; the details list the reasons."]
 
