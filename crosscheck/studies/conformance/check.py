@@ -151,7 +151,10 @@ def report(engine: Engine, findings: Sequence[Finding]) -> Report:
     title = f"contract of the engine {engine.name}"
     parts: list[Part] = [explanations()]
     counts = {result: len(_names(findings, result)) for result in Result}
-    results = [Measure(name, count, str(count), verdict=VERDICTS[name]) for name, count in counts.items()]
+    results = [
+        Measure(name, count, str(count), verdict=VERDICTS[name] if count else "")
+        for name, count in counts.items()
+    ]
     steps = [f"Correct the point {point}; the table has what is wrong." for point in failed]
     return Report(
         title,
