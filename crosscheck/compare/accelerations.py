@@ -14,7 +14,7 @@ from functools import cache
 import numpy as np
 
 from crosscheck.compare.attribution import MIN_RESIDUAL_RATIO, Cause, dynamic_cause
-from crosscheck.compare.check import MACHINE_EPSILON, Check, round_off
+from crosscheck.compare.check import MACHINE_EPSILON, REACTIONS, Check, round_off
 from crosscheck.compare.samples import RATE_ERROR, Samples
 from newton_euler.equations.system import Evaluation
 from newton_euler.equations.undetermined import determined
@@ -96,11 +96,12 @@ def acceleration_checks(pair: tuple[str, str], first: Samples, second: Samples) 
     force, torque = (first.stack(name) - second.stack(name) for name in ("reaction_force", "reaction_torque"))
     force, torque = determined(force, torque, states.undetermined, scales.size)
     gap = np.linalg.norm(force, axis=2) / scales.force
-    yield check_largest("reaction force, rel", gap, reaction_tolerance, joints)
+    force_name, torque_name = REACTIONS
+    yield check_largest(force_name, gap, reaction_tolerance, joints)
     gap = np.linalg.norm(torque, axis=2) / (scales.force * scales.size)
     # A shifted joint point does not violate equations of motion: the joint itself is the cause
     shifted = _is_shifted_joint_point(torque, first.stack("reaction_force"))
-    yield check_largest("reaction torque, rel", gap, reaction_tolerance, joints, attribute=not shifted)
+    yield check_largest(torque_name, gap, reaction_tolerance, joints, attribute=not shifted)
 
 
 def _joint_acceleration_differences(first: Samples, second: Samples) -> Array:
@@ -162,7 +163,7 @@ def softness_check(name: str, soft: Evaluation, rigid: Samples) -> Check:
     gap = gap / max(smallest_unit, float(np.linalg.norm(force, axis=1).max()))
     return Check(
         LEVEL,
-        "reaction force, rel",
+        REACTIONS[0],
         between=(f"{name} soft", f"{name} rigid"),
         value=float(gap.max()),
         tolerance=SOFTNESS,

@@ -40,6 +40,10 @@ FILE = "file"
 POSES = ("positions, m", "orientations, rad")
 """Quantities at the level "trajectories": positions and orientations of all bodies."""
 
+REACTIONS = ("reaction force, rel", "reaction torque, rel")
+"""Quantities of joint reactions, relative to the largest reaction: at the level "accelerations and reactions"
+or, for engines without equations of motion, at the level "trajectories"."""
+
 CONSTRAINT_VIOLATION = "constraint violation, m or rad"
 """Quantity at the level "drift": largest residual of the joint constraints in a run."""
 

@@ -34,7 +34,7 @@ import numpy as np
 from crosscheck.compare.changes import CHANGE, Element, TimePoint, elements
 from crosscheck.compare.check import ERROR_PER_CHANGE, POSES, ROUND_OFF, Check, reach
 from crosscheck.compare.joint_loads import JointLoads
-from crosscheck.compare.runs import orientations_apart, positions_apart
+from crosscheck.compare.run_differences import orientations_apart, positions_apart
 from crosscheck.engines.adaptive import native_refined, native_run, newton_euler_options
 from crosscheck.engines.engine import MAX_RELATIVE_ERROR
 from newton_euler.equations.relative import Relative

@@ -1,7 +1,7 @@
 """A crosscheck: one scene is simulated in several engines, and the engines are compared.
 
 A scene is a mechanism with its forces, inputs and initial state. Engines are simulators: newton_euler (this
-project's solver), MuJoCo and Pinocchio. `crosscheck` executes all stages: runs, checks, diagnosis (which
+project's solver), and others such as MuJoCo. `crosscheck` executes all stages: runs, checks, diagnosis (which
 engine is the outlier), coverage (which elements of the scene the runs test) and advice. The command
 `crosscheck run` and the Python function `crosscheck.check` call this module.
 """
@@ -104,7 +104,7 @@ def crosscheck(
     with collecting_errors(what, file_stops), limited(what, SHORTER_RUN_ADVICE, progress):
         for check in require_finite(reading_checks(usable, mapping)):
             checks.append(check)  # one by one, to keep the checks before an error
-    if misread(usable, checks):
+    if misread(checks):
         return Crosscheck(
             source=source,
             options=options,
@@ -207,9 +207,9 @@ def _usable_engines(scene: Scene, engines: Sequence[Engine]) -> tuple[list[Engin
     """Find the engines that can represent a scene.
 
     Returns:
-        The engines that can, and by name the reason why each other engine cannot. The functions `refined` and
-        `systems` of the returned engines are cached, since several checks use the refined run and the
-        equations.
+        The engines that can, and by name the reason why each other engine cannot. The functions for refined
+        runs and `systems` of the returned engines are cached, since several checks use the refined run and
+        the equations.
 
     Raises:
         NewtonEulerError: the error of the first engine, if no engine can represent the scene.
@@ -220,20 +220,28 @@ def _usable_engines(scene: Scene, engines: Sequence[Engine]) -> tuple[list[Engin
         engine.systems(scene)
 
     cached = [
-        replace(engine, refined=lru_cache(_naming_refined_run(engine)), systems=lru_cache(engine.systems))
+        replace(
+            engine,
+            refined=lru_cache(_naming_refined_run(engine, engine.refined)),
+            refined_in_full=engine.refined_in_full
+            and lru_cache(_naming_refined_run(engine, engine.refined_in_full)),
+            systems=lru_cache(engine.systems),
+        )
         for engine in engines
     ]
     usable, errors = divide(cached, make_equations)
     return usable, {name: str(error) for name, error in errors.items()}
 
 
-def _naming_refined_run(engine: Engine) -> Callable[[Scene], Trajectory]:
-    """Return the engine's function for refined runs, with errors that name the engine and the purpose."""
+def _naming_refined_run(
+    engine: Engine, simulate: Callable[[Scene], Trajectory]
+) -> Callable[[Scene], Trajectory]:
+    """Return an engine's function for refined runs, with errors that name the engine and the purpose."""
 
     def refined(scene: Scene) -> Trajectory:
         name = f"{engine.name}, in a finer run for comparison"
         try:
-            return engine.refined(scene)
+            return simulate(scene)
         except NewtonEulerError as error:
             error.args = (f"{name}: {error}",)
             raise

@@ -29,6 +29,8 @@ outlier."""
 FAULTS = {
     "model": "{0} model is wrong",
     "integration": "{0} integration is at fault",
+    "model or integration": "{0} model or integration is at fault: its equations were not compared",
+    "reactions": "{0} reactions are wrong, although its motion agrees",
     "reading": "the reading of the file is wrong",
     "softness": "{0} constraints are too soft: {1}",
     "resolution": "{0} step is too large for this model, or its soft constraints resist each other: "

@@ -15,6 +15,7 @@ A pair is compared up to the first level at which it differs; later levels would
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from functools import cache
 from itertools import combinations, product
 
@@ -24,7 +25,8 @@ from crosscheck.compare.dynamics import dynamics_checks
 from crosscheck.compare.kinematics import kinematics_checks
 from crosscheck.compare.model import model_checks
 from crosscheck.compare.momentum import momentum_check
-from crosscheck.compare.runs import Runs, compare_runs, compare_runs_until
+from crosscheck.compare.run_checks import Runs
+from crosscheck.compare.runs import compare_runs, compare_runs_until
 from crosscheck.compare.samples import Samples, States
 from crosscheck.engines.engine import Engine
 from newton_euler.errors import AssemblyError
@@ -173,14 +175,15 @@ def stages(
     def trajectories(checks: Sequence[Check]) -> Iterator[Check]:
         engines_with_run = [engine for engine in engines if engine.name in runs]
         # Smallest unit, J, of energy differences. It depends on the states only, which all engines share
-        try:
-            energy_unit = next((each[0].states.energy for each in samples().values() if each), start.energy)
-        except AssemblyError:  # no random states could be found; runs can be compared without them
-            energy_unit = start.energy
+        energy_unit, without_equations = start.energy, list[str]()
+        with suppress(AssemblyError):  # no random states could be found; runs can be compared without them
+            energy_unit = next((each[0].states.energy for each in samples().values() if each), energy_unit)
+            without_equations = [name for name, of_engine in samples().items() if not of_engine]
         differing = {check.between for check in checks if not check.agrees}
-        yield from compare_runs(scene, engines_with_run, runs, energy_unit, differing)
+        compared = scene, engines_with_run, runs, energy_unit, differing, without_equations
+        yield from compare_runs(*compared)
         if until is not None:
-            yield from compare_runs_until(until, scene, engines_with_run, runs, energy_unit, differing)
+            yield from compare_runs_until(until, *compared)
 
     def momentum(_: Sequence[Check]) -> Iterator[Check]:
         yield from (momentum_check(name, of_engine[0]) for name, of_engine in samples().items() if of_engine)

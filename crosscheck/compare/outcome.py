@@ -52,7 +52,7 @@ class Outcome(StrEnum):
     """All checks passed, but the compared motion tests nothing: a change of any one element (mass, joint,
     spring) by 10 % would not show. Equations were compared at random states."""
     AGREE_OF_SOME_ENGINES = "AGREE OF SOME ENGINES"
-    """All checks passed, but a requested engine cannot represent the model."""
+    """All checks passed, but a requested engine cannot represent the model, or is not compared."""
     DISAGREE = "DISAGREE"
     """A check failed."""
     INACCURATE = "INACCURATE"
@@ -63,7 +63,7 @@ class Outcome(StrEnum):
     ONE_ENGINE_ALONE = "ONE ENGINE ALONE"
     """Only one engine was requested, and the checks of its own run, such as energy balance, passed."""
     NOT_COMPARED = "NOT COMPARED"
-    """Several engines were requested, but only one can represent the model."""
+    """Several engines were requested, but only one can represent the model, or no check compares them."""
     SAME = "SAME"
     """Two models do not differ."""
     SAME_TO_ROUNDING = "SAME TO ROUNDING"

@@ -50,6 +50,7 @@ def diagnose(
     reference_checks: Sequence[ReferenceCheck] = (),
     soft_engines: Collection[str] = (),
     nearly_redundant: Sequence[NearlyRedundant] = (),
+    without_equations: Collection[str] = (),
 ) -> tuple[Diagnosis, ...]:
     """Find the outlier at the first level with a difference, then the outlier of the remaining ones, and so
     on.
@@ -61,6 +62,8 @@ def diagnose(
         soft_engines: names of engines with soft constraints. They do not omit nearly redundant constraints,
             as engines with rigid constraints do.
         nearly_redundant: nearly redundant constraints of the scene.
+        without_equations: engines whose equations were not compared. Differences of their runs may come from
+            their models.
 
     Returns:
         One diagnosis for each outlier, in the order of their levels. The last diagnosis may have no outlier.
@@ -80,6 +83,8 @@ def diagnose(
                 for check in judged
                 if check.between == (diagnosis.outlier,) and check.quantity == CONSTRAINT_VIOLATION
             ]
+            if diagnosis.fault == "integration" and diagnosis.outlier in without_equations:
+                diagnosis = replace(diagnosis, fault="model or integration")
             if redundancy and _concerns(diagnosis, soft_engines):
                 diagnosis = replace(diagnosis, fault="redundancy", evidence=redundancy)
             elif diagnosis.outlier in soft_engines and not all(check.agrees for check in drift):
@@ -350,6 +355,8 @@ def _diagnosis(
     elif outlier:
         tests_run = check.level in LEVELS_OF_RUNS and check.quantity != MOMENTUM_BALANCE
         fault = "integration" if tests_run else "model"
+        if tests_run and check.quantity.startswith("reaction "):  # compared only if poses agree
+            fault = "reactions"
     return Diagnosis(
         outlier=outlier,
         differing=tuple(differing),

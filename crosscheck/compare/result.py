@@ -23,6 +23,7 @@ from crosscheck.compare.coverage import Coverage
 from crosscheck.compare.diagnosis import Diagnosis
 from crosscheck.compare.outcome import Outcome
 from crosscheck.compare.outlier import diagnose
+from crosscheck.compare.participation import Participation, by_runs_only, participation
 from crosscheck.compare.reference_values import ReferenceCheck
 from crosscheck.compare.runs import nothing_moves_in_rigid_runs
 from crosscheck.compare.singularity import SingularConfigurations
@@ -119,6 +120,22 @@ class EngineComparison(ABC):
         """Checks that decide the outcome; the verdict states their number."""
         return tuple(check for check in self.checks if check.judged)
 
+    @cached_property
+    def participation(self) -> dict[str, Participation]:
+        """Numbers of checks that each engine takes part in, and the levels without it, by engine."""
+        return participation([engine.name for engine in self.engines], self.checks)
+
+    @property
+    def uncompared(self) -> tuple[str, ...]:
+        """Engines that are compared with others, but by no check that is judged."""
+        parts = self.participation.items()
+        return tuple(name for name, part in parts if part.not_judged and not part.with_engines)
+
+    @property
+    def by_runs_only(self) -> tuple[str, ...]:
+        """Engines whose equations of motion were not compared."""
+        return by_runs_only([engine.name for engine in self.engines], self.checks)
+
     @property
     def nothing_moves(self) -> bool:
         """True if nothing moves in the runs, so that checks of runs test nothing."""
@@ -133,8 +150,9 @@ class EngineComparison(ABC):
             return Outcome.DISAGREE
         if self.exceeded:
             return Outcome.INACCURATE
-        if self.left_out:
-            return Outcome.NOT_COMPARED if self.single_engine else Outcome.AGREE_OF_SOME_ENGINES
+        if self.left_out or self.uncompared:
+            compared = len(self.engines) - len(self.uncompared)
+            return Outcome.AGREE_OF_SOME_ENGINES if compared > 1 else Outcome.NOT_COMPARED
         if self.single_engine:
             return Outcome.ONE_ENGINE_ALONE
         if self.is_reduced:
@@ -225,7 +243,7 @@ class EngineComparison(ABC):
     @property
     def misread(self) -> bool:
         """True if the equations of all engines differ from the model file, so the import is wrong."""
-        return misread(self.engines, self.checks)
+        return misread(self.checks)
 
     @cached_property
     def diagnosis(self) -> tuple[Diagnosis, ...]:
@@ -260,7 +278,7 @@ class EngineComparison(ABC):
             "wall_time": self.wall_time,
             "versions": versions(self.engines, ("numpy", "scipy", "rerun-sdk")),
             "unfinished": [asdict(stop) for stop in self.unfinished],
-            "engines": {engine.name: self._run_summary(engine.name) for engine in self.engines},
+            "engines": {engine.name: self._engine_summary(engine.name) for engine in self.engines},
             "checks": [asdict(check) | {"agrees": check.agrees} for check in self.checks],
             "notes": list(self.notes),
             "not_simulated": [asdict(entry) for entry in self.acting],
@@ -290,13 +308,14 @@ class EngineComparison(ABC):
             ],
         }
 
-    def _run_summary(self, name: str) -> dict[str, Any]:
-        """Return settings, wall time and error of an engine's run, for JSON."""
+    def _engine_summary(self, name: str) -> dict[str, Any]:
+        """Return settings, wall time and error of an engine's run, and its checks by number, for JSON."""
         run = self.trajectories.get(name)
         return {
             "settings": run.settings if run else {},
             "wall_time": run.wall_time if run else None,
             "error": self.run_errors.get(name),
+            "checks": self.participation[name]._asdict(),
         }
 
 
@@ -315,11 +334,12 @@ def diagnosed(
     soft = [each.name for each in engines if each.soft_constraints and each.name not in stopped]
     names = [each.name for each in engines]
     nearly_redundant = mobility(scene).nearly
-    return diagnose(names, checks, reference_checks, soft, nearly_redundant)
+    return diagnose(names, checks, reference_checks, soft, nearly_redundant, by_runs_only(names, checks))
 
 
-def misread(engines: Sequence[Engine], checks: Sequence[Check]) -> bool:
-    """Return True if the equations of every engine differ from those of the model file."""
+def misread(checks: Sequence[Check]) -> bool:
+    """Return True if the equations of every engine that has some differ from those of the model file."""
     # `between` is an engine and the file at this level
-    differing = {check.between[0] for check in checks if check.level == READING and not check.agrees}
-    return bool(engines) and differing >= {engine.name for engine in engines}
+    of_file = [check for check in checks if check.level == READING]
+    differing = {check.between[0] for check in of_file if not check.agrees}
+    return bool(of_file) and differing == {check.between[0] for check in of_file}

@@ -11,6 +11,7 @@ from dataclasses import replace
 from crosscheck.compare.activity import reduced_model_text
 from crosscheck.compare.check import not_judged
 from crosscheck.compare.outcome import Outcome
+from crosscheck.compare.participation import missing_levels
 from crosscheck.compare.result import EngineComparison
 from crosscheck.engines.engine_runs import stops_text
 from crosscheck.own_run.allowed import OWN_RUN, exceeded_text
@@ -28,6 +29,8 @@ def verdict_of(result: EngineComparison) -> str:
         ]
         return f"{Outcome.INACCURATE}: {'; '.join(texts)}; {verdict_of_engines}"
     word, text = _judgment(result)
+    if result.uncompared and not (result.differs or result.unfinished):
+        text += f"; no judged check compares {' or '.join(result.uncompared)} with another engine"
     for name, reason in result.left_out.items():
         text += f"; {name} left out: {reason}"
     if result.left_out:
@@ -40,7 +43,9 @@ def verdict_of(result: EngineComparison) -> str:
         # a diagnosis, which follows if engines differ, names the compared engines
         if 0 < len(completed) < len(result.engines) and not result.diagnosis:
             others = f"; {' and '.join(completed)} ran to the end"
-        return f"{result.outcome}: {stops_text(result.unfinished)}{others}; as far as compared {text}"
+        missing = missing_levels(result.checks)
+        levels = f"; no checks of {', '.join(missing)}" if missing else ""
+        return f"{result.outcome}: {stops_text(result.unfinished)}{others}; as far as compared {text}{levels}"
     return f"{word}: {text}"
 
 
@@ -50,9 +55,12 @@ def _judgment(result: EngineComparison) -> tuple[str, str]:
     The outcome is not used if parts stopped: it is UNFINISHED then.
     """
     names = ", ".join(engine.name for engine in result.engines)
-    # A single engine
+    # A single engine, or several that are not compared with each other
     if result.left_out and result.single_engine:
         text = f"nothing could be compared on {result.title}, ran {names} alone; its own checks"
+        return result.outcome, f"{text} {_own_checks(result)}"
+    if result.outcome is Outcome.NOT_COMPARED:
+        text = f"nothing could be compared on {result.title}, ran {names}; their own checks"
         return result.outcome, f"{text} {_own_checks(result)}"
     if result.single_engine:
         text = f"ran {names} on {result.title}: nothing to compare it with; its own checks"
@@ -69,12 +77,29 @@ def _judgment(result: EngineComparison) -> tuple[str, str]:
         text = "; ".join(filter(None, parts))
         return f"{Outcome.DISAGREE}{_engine_count(result)}", f"{text} ({_failed_checks(result)})"
     # Engines that agree
-    agree = f"{names} agree on {result.title} in all {len(result.judged)} checks{_qualifications(result)}"
+    if not result.unfinished:
+        names = ", ".join(name for name in result.participation if name not in result.uncompared)
+    count = f"{len(result.judged)} checks{_partial_participation(result)}"
+    agree = f"{names} agree on {result.title} in all {count}{_qualifications(result)}"
     if _reduced_model_text(result):
         agree = f"{_reduced_model_text(result)}; {agree}"
     if result.outcome is Outcome.AGREE_OF_SOME_ENGINES:
         return f"AGREE{_engine_count(result)}", agree
     return result.outcome, agree
+
+
+def _partial_participation(result: EngineComparison) -> str:
+    """Format how many checks compare an engine with others, for each engine that has no part in some levels.
+
+    Such an engine has no equations of motion, or stopped before its first output.
+    """
+    partial = {name: part for name, part in result.participation.items() if part.no_part_in}
+    parts = [
+        f"{part.with_engines} compare {name} with another engine "
+        f"({name} has no part in {', '.join(part.no_part_in)})"
+        for name, part in partial.items()
+    ]
+    return f", of which {' and '.join(parts)}" if parts else ""
 
 
 def _own_checks(result: EngineComparison) -> str:
@@ -120,9 +145,10 @@ def _failed_checks(result: EngineComparison) -> str:
 
 
 def _engine_count(result: EngineComparison) -> str:
-    """Format the number of compared engines; empty if no engine is left out."""
-    count = len(result.engines)
-    return f" ({count} of {count + len(result.left_out)} engines)" if result.left_out else ""
+    """Format the number of compared engines; empty if no engine is left out or not compared."""
+    count = len(result.engines) - len(result.uncompared)
+    requested = len(result.engines) + len(result.left_out)
+    return f" ({count} of {requested} engines)" if result.left_out or result.uncompared else ""
 
 
 def _reduced_model_text(result: EngineComparison) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from crosscheck.compare.check import CONSTRAINT_VIOLATION, POSES
-from crosscheck.compare.runs import orientations_apart, positions_apart
+from crosscheck.compare.run_differences import orientations_apart, positions_apart
 from newton_euler.model.control import DeclaredLaw
 from newton_euler.model.digital_control import Digital
 from newton_euler.model.forces import JointSpring

@@ -22,7 +22,6 @@ from crosscheck.compare.outcome import Verdict
 from crosscheck.compare.reference_values import ReferenceCheck
 from crosscheck.compare.result import EngineComparison
 from crosscheck.compare.runs import displacements
-from crosscheck.engines.engine import no_systems
 from crosscheck.engines.stiffness import explicit_steps, fastest_decay
 from crosscheck.library.model_files import fates_line, report_lines
 from crosscheck.own_run.allowed import OWN_RUN
@@ -73,7 +72,7 @@ def report(result: EngineComparison) -> Report:
     """Make the report of a comparison: a full one, and a summary that the terminal shows."""
     limits, other_notes = list(verdict_limits(result)), list(notes(result))
     advice = [f"advice, {advice}" for advice in result.advice]
-    parts: list[Part] = [*judged_runs(result), *tables(result)]
+    parts: list[Part] = [*judged_runs(result), *tables(result), _participation_table(result)]
     parts.append(Lines("", [*limits, *other_notes, *advice]))
     parts.append(name_value_table("settings and run times", dict(_settings(result))))
     if result.coverage and result.coverage.untested:
@@ -126,6 +125,20 @@ def junit(result: EngineComparison, whole: Report, name: str, allow_reduced: boo
 def outcome_cell(result: EngineComparison) -> Cell:
     """Make the cell with the verdict in one word, such as AGREE."""
     return Cell(result.outcome.value, result.outcome.judged)
+
+
+def _participation_table(result: EngineComparison) -> Table:
+    """Make a table of the number of judged checks that each engine takes part in, and levels without it."""
+    rows: Rows = [
+        [name, str(part.with_engines), str(part.with_file), str(part.alone), ", ".join(part.no_part_in)]
+        for name, part in result.participation.items()
+    ]
+    columns = [
+        Column(""),
+        *number_columns("with other\nengines", "with the\nfile", "by itself"),
+        Column("no part in", below=True),
+    ]
+    return Table("number of checks of each engine", columns, rows)
 
 
 def _untested_table(coverage: Coverage) -> Table:
@@ -308,8 +321,8 @@ def notes(result: EngineComparison) -> Iterator[str]:
         yield f"inertia that no mass has, {broken}: {', '.join(impossible)}"
 
     # what was not compared or tested
-    if names := [engine.name for engine in result.engines if engine.systems is no_systems]:
-        yield f"without equations of motion, compared by runs only: {', '.join(names)}"
+    if result.by_runs_only and result.trajectories:
+        yield f"compared by runs only, not by equations of motion: {', '.join(result.by_runs_only)}"
     yield from not_compared(result.checks)
     untested = result.coverage.untested if result.coverage else ()
     for why, shared in ((SAME_CODE, True), ("by the motion, 10 % more would not show", False)):

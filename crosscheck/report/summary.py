@@ -28,6 +28,9 @@ from newton_euler.reading.import_report import ImportReport
 MAX_NOTES, MAX_NOTES_IF_FAILING = 3, 1
 """Largest number of sentences below the tables; a failing verdict takes more lines itself."""
 
+NO_PART = "-"
+"""Text of a cell for an engine that takes part in no check of the level."""
+
 START_DIGITS = 1e-5
 """Largest change of the start, rad or multiples of the mechanism's size, that is not reported: numbers in
 model files have about five digits, so that kinematic loops do not close exactly."""
@@ -106,10 +109,12 @@ def levels_table(result: EngineComparison) -> Table:
 
     The columns are the number of passed or failed checks, a column per engine, and the check closest to
     failing. An engine's column has the value of its check closest to failing: a difference from the first
-    engine or from the model file, or at levels that check each engine by itself the engine's own value.
+    engine that is compared by equations or from the model file, or at levels that check each engine by itself
+    the engine's own value. `NO_PART` stands for an engine without a check at the level.
     """
-    first, *others = [engine.name for engine in result.engines]
-    shown_engines = others or [first]
+    names = [engine.name for engine in result.engines]
+    first = next((name for name in names if name not in result.by_runs_only), names[0])
+    shown_engines = [name for name in names if name != first] or [first]
     checks = judged_checks(result)
     rows: Rows = []
     for level in (*LEVELS, REFERENCE):
@@ -121,14 +126,21 @@ def levels_table(result: EngineComparison) -> Table:
         if failed:
             count = Cell(f"{failed}/{len(at_level)} FAIL", "fails")
         of_each_engine = [
-            [check for check in at_level if name in check.between and {*check.between} <= {name, first, FILE}]
+            NO_PART
+            if level in result.participation[name].no_part_in
+            else _worst_value([check for check in at_level if _is_shown(check, name, first)])
             for name in shown_engines
         ]
         # "accelerations and reactions" is shown as "accelerations"
         short_level = level.partition(" and ")[0]
-        rows.append([short_level, count, *map(_worst_value, of_each_engine), nearest(at_level)])
+        rows.append([short_level, count, *of_each_engine, nearest(at_level)])
     headings = [Column("worst of"), *number_columns("checks", *shown_engines)]
     return Table("", [*headings, Column("% of tolerance, where", below=True)], rows)
+
+
+def _is_shown(check: Check, name: str, first: str) -> bool:
+    """Return True if a check compares an engine with the first one or with the file, or is of it alone."""
+    return name in check.between and {*check.between} <= {name, first, FILE}
 
 
 def _worst_value(checks: Sequence[Check]) -> Cell:

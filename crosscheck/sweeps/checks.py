@@ -1,8 +1,8 @@
 """Cross-check some runs of a sweep, extreme and random ones, in all engines.
 
 A sweep simulates one scene many times with varied parameters. newton_euler executes its runs and stores their
-kept outputs: the numbers or arrays that the user asked for. A crosscheck repeats a run in newton_euler,
-MuJoCo and Pinocchio, and compares their equations and motions as `crosscheck run` does. It also compares the
+kept outputs: the numbers or arrays that the user asked for. A crosscheck repeats a run in the engines
+that the user names, and compares their equations and motions as `crosscheck run` does. It also compares the
 kept outputs of each engine's run with the stored ones.
 
 A `Check` is one compared number with its tolerance. A `KeptNumber` is one element of a kept output, with
@@ -23,7 +23,7 @@ import numpy as np
 
 from crosscheck.compare.check import ERROR_PER_CHANGE, Check
 from crosscheck.compare.crosscheck import Crosscheck, crosscheck
-from crosscheck.compare.runs import MAX_REMAINING_ERROR
+from crosscheck.compare.run_checks import MAX_REMAINING_ERROR
 from crosscheck.engines.engine import MAX_RELATIVE_ERROR, Engine
 from crosscheck.engines.newton_euler import EXACT_ATOL, EXACT_RTOL
 from crosscheck.engines.registry import ENGINES, SOLVER

@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 import crosscheck
-from crosscheck.compare.runs import positions_apart
+from crosscheck.compare.run_differences import positions_apart
 from crosscheck.own_run.judge import Judgement
 from crosscheck.support.colors import BLUE, VERMILION
 from newton_euler.model.euler_parameters import rotation

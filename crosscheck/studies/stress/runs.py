@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.compare.runs import positions_apart
+from crosscheck.compare.run_differences import positions_apart
 from crosscheck.engines.energy import Balance, energy_balance
 from crosscheck.engines.engine import Engine
 from crosscheck.engines.limits import require_expressed

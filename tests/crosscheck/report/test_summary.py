@@ -46,7 +46,7 @@ def test_levels_have_the_worst_of_each_engine_and_the_one_nearest_its_tolerance(
     ]
     assert cells(levels_table(crosscheck_of(rows))) == {
         "model": ["5 ok", "2.0e-08", "3.0e-09", "50 % rocker, mass"],
-        "drift": ["1/2 FAIL", "4.0e-03", "", "4000 x pin, 1 s"],
+        "drift": ["1/2 FAIL", "4.0e-03", "-", "4000 x pin, 1 s"],
     }
 
 
@@ -56,7 +56,7 @@ def test_what_is_not_judged_is_not_counted_and_files_and_known_figures_are():
     reference_checks = [ReferenceCheck.of("mujoco", known, 0.25 + 2e-9, 1e-8)]
     checks = [informs, figure("reading", ("mujoco", FILE), 0.0)]
     found = cells(levels_table(crosscheck_of(checks, reference_checks=reference_checks)))
-    assert found["reading"] == ["1 ok", "0.0e+00", "", "<1 % rod, mass"]
+    assert found["reading"] == ["1 ok", "0.0e+00", "-", "<1 % rod, mass"]
     assert found[REFERENCE][:2] == ["1 ok", "2.0e-09"]
     assert found.keys() == {"reading", REFERENCE}
 
