@@ -141,24 +141,25 @@ def stress_command(full: bool, engines: list[str] | None, output: Path, letters:
     """Stress-test engines with extreme parameter values.
 
     The command reports the values from which each engine fails. Cases that an engine cannot represent are
-    counted separately.
+    counted separately. Engines without cases in a topic are named; if no case runs, the exit status is 2.
     """
     from crosscheck.engines.engine import Engine
     from crosscheck.engines.registry import ENGINES, choose
     from crosscheck.engines.usable import divide
     from crosscheck.studies.stress.report import STRESS_FILES, report, write
-    from crosscheck.studies.stress.topics import stress
+    from crosscheck.studies.stress.topics import stress, wanted_topics
     from crosscheck.support.files import check_writable
 
     check_writable(*(output / name for name in STRESS_FILES))
     usable, errors = divide(choose(engines or list(ENGINES)), Engine.stress)
     left_out = {name: str(error) for name, error in errors.items()}
+    wanted = wanted_topics(letters)
     start = time.perf_counter()
     with progress_shown() as progress:
-        rows = stress(letters, full, usable, progress)
+        rows = stress(wanted, full, usable, progress)
         wall_time = time.perf_counter() - start
         progress("writing")
-        found = report(rows, full, wall_time, usable, left_out)
+        found = report(rows, wanted, full, wall_time, usable, left_out)
         written = write(rows, found, full, output)
     click.echo(terminal(found.parts), nl=False)
     say("wrote " + ", ".join(str(path) for path in written))

@@ -1,6 +1,6 @@
 """Compare the controllers of a scene: tracking error, actuator force and energy in each engine.
 
-`compared` runs a scene with each of its controllers in each engine (newton_euler, MuJoCo, Pinocchio), and
+`compared` runs a scene with each of its controllers in each engine, such as MuJoCo, and
 `write` writes tables of their performance. A controller is a set of control laws, one for each driven joint
 coordinate; a control law may follow a target, a number or a function of time.
 """

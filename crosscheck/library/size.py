@@ -1,6 +1,6 @@
 """Check the size of a scene against the limits within which all engines can run and be compared.
 
-The engines are newton_euler, MuJoCo and Pinocchio. The limits are in `newton_euler.limits.LIMITS`; the user
+The limits are in `newton_euler.limits.LIMITS`; the user
 can raise each with `--set NAME=VALUE`.
 """
 

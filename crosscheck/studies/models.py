@@ -7,10 +7,10 @@
 The first table has the verdicts of all engines. The second one has the errors of the runs that the files make
 with their own settings.
 
-`crosscheck run` simulates a file in three engines and compares them; its verdict is for example AGREE. The
-YAML file lists model files by repository, and FOLDER contains clones of the repositories as OWNER/NAME. Each
-file runs in a separate process with a limit of CPU time. Results are stored in the file models.json of the
-output folder. With `--only TEXT`, only files whose path contains TEXT are run again. If a verdict is not
+`crosscheck run` simulates a file in the default engines and compares them; its verdict is for example AGREE.
+The YAML file lists model files by repository, and FOLDER contains clones of the repositories as OWNER/NAME.
+Each file runs in a separate process with a limit of CPU time. Results are stored in the file models.json of
+the output folder. With `--only TEXT`, only files whose path contains TEXT are run again. If a verdict is not
 AGREE, a person finds out the reason and writes it into the list of models.
 """
 

@@ -2,7 +2,7 @@
 
 A sweep simulates one scene many times with varied parameters, and keeps some outputs of each run. Its report
 has quantiles of these outputs and the effects of the parameters on them. `Sweep.check` repeats some runs in
-all engines (newton_euler, MuJoCo, Pinocchio) and compares them.
+all engines, such as MuJoCo, and compares them.
 """
 
 from __future__ import annotations

@@ -31,7 +31,8 @@ from crosscheck.regress.run import GuardedScene, engines_of, update_baselines
 from crosscheck.studies.benchmark import run as benchmarks
 from crosscheck.studies.benchmark.run import BenchmarkRequest
 from crosscheck.studies.faults.find import FaultFree
-from crosscheck.studies.stress import cases
+from crosscheck.studies.stress import cases, topics
+from crosscheck.studies.stress.cases import CaseResult
 from crosscheck.studies.stress.topics import TOPICS, cases_of
 from crosscheck.support.colors import OTHER_COLORS
 from crosscheck.support.errors import CrosscheckError
@@ -104,6 +105,39 @@ def test_stress_tests_of_an_engine_that_cannot_express_all(with_engines, capsys,
     assert f"{len(others)} of {len(others)} cases pass; {len(loops)} not expressed" in out
 
 
+@pytest.mark.parametrize(
+    ("letters", "limits", "reason"),
+    [
+        ("b", TOY.limits, "toy ran in topic b: the Engine has no settings"),
+        ("ab", TOY.limits, "toy ran in topics a, b"),
+        ("f", lambda scene: [Limit("gravity", "no gravity")], "toy cannot express gravity"),
+    ],
+)
+def test_a_stress_test_without_any_case_is_no_success(
+    with_engines, capsys, monkeypatch, tmp_path, letters, limits, reason
+):
+    with_engines(replace(TOY, limits=limits, stress_settings=None))
+    monkeypatch.setattr(cases, "run_in_processes", lambda run, tasks, *_, **options: map(run, tasks))
+    arguments = ("stress", "--ci", "--only", letters, "--output", tmp_path)
+    status, out, err = run(capsys, *arguments, "--engines", "toy")
+    assert (status, out) == (2, "")
+    assert reason in err
+    assert len(err.splitlines()) == 1
+    assert not [*tmp_path.iterdir()]
+
+
+def test_an_engine_without_cases_beside_others_is_named(with_engines, capsys, monkeypatch, tmp_path):
+    with_engines(replace(TOY, stress_settings=None))
+    monkeypatch.setattr(
+        topics, "run_cases", lambda found, _: [CaseResult(each, "survives", "") for each in found]
+    )
+    arguments = ("stress", "--ci", "--only", "bi", "--output", tmp_path)
+    status, out, _ = run(capsys, *arguments, "--engines", "mujoco,toy")
+    assert status == 0
+    assert "\ntoy has no cases in topic b\n" in out
+    assert "mujoco has no cases" not in out
+
+
 def test_every_topic_has_cases_of_an_engine_with_no_settings(with_engines):
     bare = replace(TOY, stress_settings=None, systems=no_systems)
     with_engines(bare)
@@ -169,10 +203,12 @@ def test_benchmarks_leave_out_an_engine_that_cannot_run(with_engines, tmp_path):
 
 
 def test_faults_leave_out_an_engine_that_cannot_run(with_engines):
-    with_engines(LIMITED, FAULTY)
-    found = FaultFree(load("pendulum"), [SOLVER, TOY, LIMITED, FAULTY])
+    bare = replace(TOY, name="bare", systems=no_systems)
+    with_engines(LIMITED, FAULTY, bare)
+    found = FaultFree(load("pendulum"), [SOLVER, TOY, LIMITED, FAULTY, bare])
     assert set(found.engines) == {"newton_euler", "toy"}
-    assert set(found.refusals) == {"limited", "faulty"}
+    assert set(found.refusals) == {"limited", "faulty", "bare"}
+    assert str(found.refusals["bare"]) == "fault injection needs equations of motion; bare has none"
 
 
 def test_importers_of_other_packages_take_part(monkeypatch, tmp_path):

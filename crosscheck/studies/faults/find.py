@@ -1,7 +1,7 @@
 """Search for injected faults: which faults are detected, and whether the diagnosis locates them correctly.
 
 A fault is a single error in a model, such as a wrong mass. There are two searches. `find_faults` injects
-faults into the model of one engine (newton_euler, MuJoCo or Pinocchio); the comparison of the engines'
+faults into the model of one engine, such as MuJoCo; the comparison of the engines'
 equations of motion must detect them. `find_in_reading` injects faults into a scene that was read from a model
 file; the verification of the scene against the file must detect them. This scene has random controls, so that
 every actuator acts. A fault that is not detected must be unobservable: newton_euler's equations are the same
@@ -153,7 +153,7 @@ class FaultSearch:
     Attributes:
         found: result for each fault.
         engines: names of the engines with faults, or `READING`. Engines take the faults alternately.
-        left_out: for each engine that cannot express the scene, the reason.
+        left_out: reasons by name of the engines that cannot express the scene or have no equations.
         smallest: smallest relative size of the faults that must all be detected.
     """
 
@@ -180,7 +180,7 @@ def find_faults(
 
     Raises:
         CrosscheckError: if the engines disagree on the scene without a fault.
-        NewtonEulerError: if no engine can express the scene.
+        CrosscheckError, NewtonEulerError: the reason of the first named engine, if none can take the faults.
     """
     named = choose(names)
     compared = {engine.name: engine for engine in (*ENGINES.values(), *named)}
@@ -226,7 +226,7 @@ class FaultFree:
 
     Attributes:
         scene: the scene without a fault.
-        engines: engines that can express the scene, by name, newton_euler first.
+        engines: engines that can express the scene and have equations of motion, by name, newton_euler first.
         refusals: errors of the other engines, by name.
         samples: newton_euler's equations with these states.
 
@@ -263,7 +263,7 @@ class FaultFree:
         require_scene(engine, self.scene)
         system, *_ = engine.systems(self.scene) or (None,)
         if system is None:
-            raise EngineError(f"{engine.name} has no equations of motion")
+            raise EngineError(f"fault injection needs equations of motion; {engine.name} has none")
         self._samples_of_engine[engine.name] = Samples(system, self.samples.states)
 
     def _compare(

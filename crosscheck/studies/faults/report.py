@@ -81,10 +81,7 @@ def report(title: str, search: FaultSearch, wall_time: float) -> Report:
         search: results of the search.
         wall_time: duration of the search, s.
     """
-    left_out = [
-        f"no fault injected into {engine}, which cannot express the scene: {why}"
-        for engine, why in search.left_out.items()
-    ]
+    left_out = [f"no fault injected into {engine}: {why}" for engine, why in search.left_out.items()]
     rows: Rows = [
         [
             found.fault.name,

@@ -1,6 +1,6 @@
 """Stress cases (g) and (h): initial states that violate the constraints, and singular configurations.
 
-A case measures one value of one engine (newton_euler, MuJoCo or Pinocchio) at one setting, an integrator with
+A case measures one value of one engine, such as MuJoCo, at one setting, an integrator with
 its options; a bound judges the value. `full` selects all cases rather than the short form of continuous
 integration. At a singular configuration a mechanism has more degrees of freedom than elsewhere, or its drive
 cannot move it, as at the dead centers of a slider-crank.

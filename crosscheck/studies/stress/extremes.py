@@ -1,6 +1,6 @@
 """Stress cases (e), (f) and (k): stiff control gains, extreme mass ratios, and extreme or invalid numbers.
 
-A case measures one value of one engine (newton_euler, MuJoCo or Pinocchio) at one setting, an integrator with
+A case measures one value of one engine, such as MuJoCo, at one setting, an integrator with
 its options. A bound judges the value: up to `survives` it is accurate, up to `degrades` still useful. Each
 function `..._cases` yields the cases of a topic, the `measure_...` functions measure their values. `full`
 selects all cases rather than the short form of continuous integration.

@@ -1,6 +1,6 @@
 """Stress cases (a) and (b): constraint drift and energy error of long runs, and the largest usable steps.
 
-A case measures one value of one engine (newton_euler, MuJoCo or Pinocchio) at one setting, an integrator with
+A case measures one value of one engine, such as MuJoCo, at one setting, an integrator with
 its options. A bound judges the value: within its limit `survives` the value passes, beyond its limit
 `degrades` the engine fails. Topic (a) runs scenes for up to 10,000 s. Topic (b) searches for the largest
 step, or the loosest tolerance of adaptive integrators, whose motion is still usable. `full` selects all cases

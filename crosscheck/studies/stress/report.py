@@ -1,6 +1,6 @@
 """Report of a stress test: numbers of cases that each engine passes, and the cases that do not pass.
 
-A case measures one value of one engine (newton_euler, MuJoCo or Pinocchio) at one setting; a bound judges the
+A case measures one value of one engine, such as MuJoCo, at one setting; a bound judges the
 value. A case passes if the value is within the bound; a case without an answer passes if the engine raises an
 error. A topic is a group of cases with a letter as its name. Results of cases go in. A report for the
 terminal, `stress.json` and `stress.md` come out. A table row is a topic or a case, a column is an engine.
@@ -45,6 +45,7 @@ LAST_COLUMN = "all"
 
 def report(
     results: Sequence[CaseResult],
+    letters: Sequence[str],
     full: bool,
     wall_time: float,
     engines: Sequence[Engine],
@@ -54,6 +55,7 @@ def report(
 
     Args:
         results: results of all cases.
+        letters: letters of the topics.
         full: True if all cases ran, False for the short form.
         wall_time: duration of the test, s.
         engines: the engines.
@@ -69,8 +71,13 @@ def report(
         "a shortcoming otherwise. All cases, with values and reasons, are in stress.json."
     )
     parts: list[Part] = [_summary(results), *_not_expressed(results)]
-    if left_out:
-        parts.append(Lines("left out", list(left_out.values())))
+    without_cases = [
+        f"{engine.name} has no cases in topic{'s' * (len(missing) > 1)} {', '.join(missing)}"
+        for engine in engines
+        if (missing := _topics_without_cases(results, letters, engine))
+    ]
+    if left_out or without_cases:
+        parts.append(Lines("left out", [*left_out.values(), *without_cases]))
     parts.append(Lines("about", [preface], folded=True))
     for letter, topic in TOPICS.items():
         of_topic = [result for result in results if result.case.topic == letter]
@@ -102,6 +109,12 @@ def report(
             "The topics below list the cases that do not pass; `stress.json` has the reasons.",
         ],
     )
+
+
+def _topics_without_cases(results: Sequence[CaseResult], letters: Sequence[str], engine: Engine) -> list[str]:
+    """Return the letters of topics in which an engine has no cases, as it has no settings for them."""
+    present = {result.case.topic for result in results if result.case.setting.engine == engine.name}
+    return [letter for letter in letters if letter not in present]
 
 
 def _not_expressed(results: Sequence[CaseResult]) -> Iterator[Table]:

@@ -1,10 +1,9 @@
 """Stress cases of topic (i): rotation by half a turn or by whole turns, few or many, and at high speeds.
 
 Topics of stress tests have letters, see `topics.py`. A case measures one value at one setting: an engine
-(newton_euler, MuJoCo or Pinocchio) with its options. A bound judges the value. Free symmetric
-tops and a hinge under PD control are compared with closed forms of orientation and torque. The heavy top of
-the scene library is compared with published values. `full` selects all cases rather than the short form of
-continuous integration.
+with its options. A bound judges the value. Free symmetric tops and a hinge under PD control are compared with
+closed forms of orientation and torque. The heavy top of the scene library is compared with published values.
+`full` selects all cases rather than the short form of continuous integration.
 """
 
 from __future__ import annotations

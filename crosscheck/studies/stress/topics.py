@@ -45,11 +45,25 @@ TOPICS = {
 """Topics by letter; c and d were topics that no longer exist."""
 
 
-def stress(letters: str, full: bool, engines: Sequence[Engine], progress: Progress) -> list[CaseResult]:
+def wanted_topics(letters: str) -> list[str]:
+    """Return the letters of some topics, such as "ae", in the order of `TOPICS`; all topics if it is empty.
+
+    Raises:
+        CrosscheckError: for an unknown letter.
+    """
+    for letter in letters:
+        if letter not in TOPICS:
+            raise CrosscheckError(f"unknown topic {letter!r}; choose from: {', '.join(TOPICS)}")
+    return [letter for letter in TOPICS if letter in (letters or TOPICS)]
+
+
+def stress(
+    letters: Sequence[str], full: bool, engines: Sequence[Engine], progress: Progress
+) -> list[CaseResult]:
     """Run the cases of some topics.
 
     Args:
-        letters: letters of topics, as in "ae"; all topics if empty.
+        letters: letters of the topics, see `wanted_topics`.
         full: True for all cases, False for the short form that continuous integration runs.
         engines: engines whose settings of stress tests can be loaded.
         progress: called with the number of finished cases.
@@ -58,13 +72,16 @@ def stress(letters: str, full: bool, engines: Sequence[Engine], progress: Progre
         The result of each case.
 
     Raises:
-        CrosscheckError: for an unknown letter.
+        CrosscheckError: if the engines have no cases in these topics, or cannot express any of them.
     """
-    for letter in letters:
-        if letter not in TOPICS:
-            raise CrosscheckError(f"unknown topic {letter!r}; choose from: {', '.join(TOPICS)}")
-    wanted = [letter for letter in TOPICS if letter in (letters or TOPICS)]
-    return run_cases([case for letter in wanted for case in cases_of(letter, full, engines)], progress)
+    cases = [case for letter in letters for case in cases_of(letter, full, engines)]
+    results = run_cases(cases, progress)
+    if not any(result.expressed for result in results):
+        names = " and ".join(engine.name for engine in engines)
+        reason = results[0].reason if results else "the Engine has no settings for it, see `stress_settings`"
+        topics = f"topic{'s' * (len(letters) > 1)} {', '.join(letters)}"
+        raise CrosscheckError(f"no case of {names} ran in {topics}: {reason}")
+    return results
 
 
 def cases_of(letter: str, full: bool, engines: Sequence[Engine]) -> list[Case]:
