@@ -1,9 +1,12 @@
-"""Tables of `docs/results/engines.md`: which engine can express what, and the library in all engines.
+"""Tables of `docs/results/engines.md`: which engine can express what, faults, and the library in all engines.
 
-    python tests/support/engine_tables.py FOLDER
+    python tests/support/engine_tables.py expressed
+    python tests/support/engine_tables.py library FOLDER
+    python tests/support/engine_tables.py faults FOLDER
 
-writes both tables into the page. FOLDER has the results of `crosscheck run --all --engines all`. The first
-table needs no runs: it comes from `Engine.limits`, for the elements of `elements.py` and the library.
+write one of the tables into the page. The first table needs no runs: it comes from `Engine.limits`, for the
+elements of `elements.py` and the library. For the second one, FOLDER has the results of `crosscheck run --all
+--engines all`. For the third one, FOLDER/NAME has those of `crosscheck faults four_bar --engines NAME`.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ from crosscheck.engines.registry import choose
 from crosscheck.library import SCENES, load
 from crosscheck.report.render import markdown_table
 from crosscheck.report.table import Column, Rows, Table, number_columns, text_columns
+from crosscheck.studies.faults.find import SMALLEST_REQUIRED
 from crosscheck.support.units import SECONDS_AND_MS, quantity_text
 from newton_euler.model.scene import Scene
 
@@ -74,6 +78,27 @@ def _measured(found: Mapping[str, Any], engine: Engine) -> str:
     return error + quantity_text(run["wall_time"], SECONDS_AND_MS)
 
 
+def faults(folder: Path, engines: Iterable[Engine]) -> list[str]:
+    """Lines of the table of faults that are injected into one engine: how many are detected and located."""
+    rows: Rows = []
+    for engine in engines:
+        found = json.loads((folder / engine.name / "faults.json").read_text())["faults"]
+        assert {fault["engine"] for fault in found} == {engine.name}
+        large = [fault for fault in found if fault["size"] is None or fault["size"] >= SMALLEST_REQUIRED]
+        observable = [fault for fault in large if fault["observable"]]
+        counts = (
+            sum(fault["observable"] or fault["seen"] is not None for fault in large),
+            sum(fault["seen"] is not None for fault in large),
+            sum(fault["located"] for fault in large),
+            len(observable),
+            sum(fault["by_motion"] is not None for fault in observable),
+            sum(fault["located_by_motion"] for fault in observable),
+        )
+        rows.append([engine.label or engine.name, *map(str, counts)])
+    names = ("faults", "detected", "located", "of motion", "detected by motion", "located by motion")
+    return list(markdown_table(Table("", [*text_columns("engine"), *number_columns(*names)], rows)))
+
+
 def replaced(page: str, name: str, lines: Iterable[str]) -> str:
     """Page with other lines between the comments `<!-- NAME -->` and `<!-- end of NAME -->`."""
     start, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
@@ -82,12 +107,11 @@ def replaced(page: str, name: str, lines: Iterable[str]) -> str:
     return re.sub(f"{re.escape(start)}.*?{re.escape(end)}", lambda _: text, page, flags=re.DOTALL)
 
 
-def main(folder: Path) -> None:
-    """Write both tables into the page."""
-    engines = choose(["all"])
-    page = replaced(PAGE.read_text(), "expressed", expressed(engines))
-    PAGE.write_text(replaced(page, "library", library(folder, engines)))
+def main(table: str, *folder: str) -> None:
+    """Write one of the tables into the page."""
+    lines = {"expressed": expressed, "library": library, "faults": faults}[table]
+    PAGE.write_text(replaced(PAGE.read_text(), table, lines(*map(Path, folder), choose(["all"]))))
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(*sys.argv[1:])

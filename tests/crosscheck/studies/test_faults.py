@@ -13,7 +13,7 @@ from command_line import EXAMPLE, run
 from elements import JOINTS
 from mechanisms import GRAVITY, pendulum
 
-from crosscheck.engines.registry import ENGINES
+from crosscheck.engines.registry import ENGINES, OPTIONAL, NotInstalledError, choose
 from crosscheck.library import load
 from crosscheck.report.page import write_report
 from crosscheck.studies.faults import find as finding
@@ -65,6 +65,24 @@ KINDS = {
 }
 
 
+ALL = (*ENGINES, *OPTIONAL)
+"""Names of all engines of this project."""
+
+
+def engine_named(name):
+    """Return an engine; skip the test if it is not installed."""
+    try:
+        (engine,) = choose([name])
+    except NotInstalledError as error:
+        pytest.skip(str(error))
+    return engine
+
+
+def compared_with(engine):
+    """Return the default engines and the engine."""
+    return list({each.name: each for each in (*ENGINES.values(), engine)}.values())
+
+
 @pytest.fixture(scope="module")
 def example():
     return load(str(EXAMPLE))
@@ -86,6 +104,17 @@ def test_faults_of_every_kind_are_found_and_blamed(found):
     count = count_detected(found)
     assert count.total > 100
     assert count.detected == count.located == count.total
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_fault_of_each_kind_is_located_in_each_engine(example, name):
+    engine = engine_named(name)
+    few = {fault.kind: fault for fault in catalog(example, (1e-2,))}  # the last one of each kind
+    free = FaultFree(example, compared_with(engine))
+    assert few.keys() == KINDS
+    found = [find_fault(fault, engine, free) for fault in few.values()]
+    assert {each.detection.outlier for each in found} == {name}
+    assert [each.fault.name for each in found if not each.located] == []
 
 
 def test_motion_alone_finds_them_too(found):
@@ -168,12 +197,13 @@ def test_springs_and_armatures_are_told_from_bodies(kind):
         assert not replace(result, fault=replace(fault, expected=frozenset({"ground"}))).located
 
 
-@pytest.mark.parametrize("name", ENGINES)
+@pytest.mark.parametrize("name", ALL)
 def test_a_dropped_velocity_term_is_found_at_its_hinge(name):
     """omega x axis v turns the axis of all hinges but the first, before which nothing turns."""
-    scene = load("chain")
+    scene, engine = load("chain"), engine_named(name)
+    free = FaultFree(scene, compared_with(engine))
     found = {
-        fault.element: find_fault(fault, ENGINES[name], FaultFree(scene))
+        fault.element: find_fault(fault, engine, free)
         for fault in catalog(scene, ())
         if fault.kind == "velocity term" and fault.element in ("hinge_0", "hinge_2")
     }
@@ -349,3 +379,21 @@ def test_all_faults_of_a_scene(name):
     assert motion.detected == motion.total
     assert motion.located >= 0.9 * motion.total
     assert all(f.model_difference for f in found if f.is_detectable and f.detection is None)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ALL)
+def test_all_faults_of_a_scene_in_one_engine(name):
+    """As `crosscheck faults four_bar --engines NAME`: all down to 1e-4 found, and located in the engine."""
+    engine_named(name)
+    search = find_faults(load("four_bar"), lambda message: None, names=[name])
+    assert search.engines == (name,)
+    assert not search.left_out
+    large = [f for f in search.found if f.fault.size is None or f.fault.size >= SMALLEST_REQUIRED]
+    count, motion = count_detected(large), count_detected_by_motion(large)
+    assert count.total > 400
+    assert count.located == count.detected == count.total
+    assert motion.total > 300
+    # the order of two quaternions has no effect on absolute coordinates
+    assert motion.detected >= motion.total - 2
+    assert motion.located > 0.9 * motion.total
