@@ -55,8 +55,8 @@ COMMANDS = re.compile("<!-- commands: (.+) -->")
 TABLE_OF_COMMANDS = "<!-- table of commands -->"
 """Place in a page that takes a table of all commands with links."""
 
-EXPLANATIONS = "<!-- explanations -->"
-"""Place in a page that takes the texts of `crosscheck explain`."""
+EXPLANATIONS = re.compile("<!-- explanations: (.+) -->")
+"""Place in a page that takes the texts of `crosscheck explain` on a topic."""
 
 INDEX_OF_NAMES = "<!-- index of names -->"
 """Place in a page that takes a table of all public names with links."""
@@ -97,13 +97,17 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, **_: objec
     page.meta.setdefault("search", {})["boost"] = BOOSTS.get(folder, 1.0)
     if TABLE_OF_COMMANDS in markdown:
         markdown = markdown.replace(TABLE_OF_COMMANDS, "\n".join(table_of_commands()))
-    if EXPLANATIONS in markdown:
-        from crosscheck.report.explain import explanation_markdown
-
-        markdown = markdown.replace(EXPLANATIONS, "\n".join(explanation_markdown()))
     if INDEX_OF_NAMES in markdown:
         markdown = markdown.replace(INDEX_OF_NAMES, "\n".join(index_of_names(config)))
+    markdown = EXPLANATIONS.sub(lambda place: "\n".join(explanations(place[1])), markdown)
     return COMMANDS.sub(lambda place: "\n".join(commands(place[1])), markdown)
+
+
+def explanations(topic: str) -> Iterator[str]:
+    """Yield the texts of `crosscheck explain` on a topic, in lines of Markdown."""
+    from crosscheck.report.explain import explanation_markdown
+
+    return explanation_markdown(topic)
 
 
 def table_of_commands() -> Iterator[str]:

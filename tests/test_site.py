@@ -45,6 +45,8 @@ TERMS = (
 )
 """Terms that readers search for."""
 
+GLOSSARY = ROOT / "docs" / "reference" / "glossary.md"
+
 MATHML = "{http://www.w3.org/1998/Math/MathML}"
 
 
@@ -176,6 +178,27 @@ def navigation() -> object:
     """The navigation of the site, without the tags of MkDocs."""
     text = (ROOT / "mkdocs.yml").read_text()
     return yaml.safe_load(text[text.index("nav:") :])["nav"]
+
+
+def test_names_of_engines_in_the_glossary_exist():
+    rows = [line.split("|")[1:] for line in GLOSSARY.read_text().splitlines() if line.startswith("| ")][1:]
+    mjcf_and_mujoco = _names_of_mujoco()
+    pin = pytest.importorskip("pinocchio")
+    kinds = (pin, pin.Data, pin.Model, pin.Inertia, pin.RigidConstraintModel, pin.RigidConstraintData)
+    pinocchio = {"q", *(name for kind in kinds for name in dir(kind))}
+    for column, known in ((2, mjcf_and_mujoco), (3, pinocchio)):
+        named = {name for row in rows for name in re.findall(r"`(\w+)`", row[column])}
+        assert len(named) > 20
+        assert named - known == set()
+
+
+def _names_of_mujoco() -> set[str]:
+    """Names of MuJoCo's functions and fields, and of elements and attributes of MJCF and joint types."""
+    mujoco = pytest.importorskip("mujoco")
+    kinds = (mujoco, mujoco.MjData, mujoco.MjModel)
+    schema = re.findall(r"\w+", mujoco.mj_printSchema(False, False))
+    joints = {name.removeprefix("mjJNT_").lower() for name in dir(mujoco.mjtJoint)}
+    return {*schema, *joints, *(name for kind in kinds for name in dir(kind))}
 
 
 @pytest.mark.slow  # builds the site

@@ -161,14 +161,32 @@ def explanation_lines(topic: Topic, explanation: Explanation) -> Iterator[str]:
             yield f"  {label}: {explanation.labeled[label]}"
 
 
-def explanation_markdown() -> Iterator[str]:
-    """Yield the lines of all explanations for a page of the site, with a heading for each name."""
-    for topic in topics():
-        yield f"## {topic.title}\n\n{topic.text}\n"
+def explanation_markdown(name: str) -> Iterator[str]:
+    """Yield the lines of the explanations of one topic for a page of the site.
+
+    Each name has a heading. Topics without tolerances and failures are tables, with a row for each name.
+
+    Args:
+        name: the topic, one of `TOPICS`.
+    """
+    topic = read_topic(name)
+    yield f"## {topic.title}\n\n{topic.text}\n"
+    if any(set(each.labeled) - {"Next"} for each in topic.explanations):
         for each in topic.explanations:
-            also = f" Also printed as {', '.join(f'`{text}`' for text in each.also)}." if each.also else ""
-            yield f"### {each.name}\n\n{each.meaning}{also}\n"
+            yield f"### {each.name}\n\n{each.meaning}{_also(each)}\n"
             for label in LABELS:
                 if label in each.labeled:
                     yield f"- **{label}**: {each.labeled[label]}"
             yield ""
+    else:
+        yield "| name | meaning | what you do |\n|---|---|---|"
+        for each in topic.explanations:
+            yield f"| {each.name} | {each.meaning}{_also(each)} | {each.labeled.get('Next', '')} |"
+        yield ""
+
+
+def _also(explanation: Explanation) -> str:
+    """Return a sentence with the other spellings of a name; empty if there are none."""
+    return (
+        f" Also printed as {', '.join(f'`{text}`' for text in explanation.also)}." if explanation.also else ""
+    )

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import pytest
 from command_line import run
 
@@ -20,6 +23,9 @@ from crosscheck.studies.conformance.check import Result
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.reading.file_run import CauseName
 from newton_euler.reading.import_report import FATES, Mistake
+
+PLACE = re.compile("<!-- explanations: (.+) -->")
+"""Place in a page that takes the explanations of a topic."""
 
 KINDS = {
     "levels": {*LEVELS, REFERENCE},
@@ -115,7 +121,16 @@ def test_the_command_lists_all_names_and_explains_one(capsys):
     assert out.startswith("soft constraints (")
 
 
-def test_the_page_has_a_heading_for_each_name():
-    lines = list(explanation_markdown())
-    headings = [line.split("\n")[0].removeprefix("### ") for line in lines if line.startswith("### ")]
-    assert headings == [name for topic in TOPICS for name in names(topic)]
+@pytest.mark.parametrize("topic", TOPICS)
+def test_pages_have_a_heading_or_a_row_for_each_name(topic):
+    lines = "\n".join(explanation_markdown(topic)).split("\n")
+    headings = [line.removeprefix("### ") for line in lines if line.startswith("### ")]
+    rows = [line.split(" | ")[0].removeprefix("| ") for line in lines if line.startswith("| ")][1:]
+    assert (headings or rows) == names(topic)
+    assert all(line.count("|") == 4 for line in lines if line.startswith("| "))
+
+
+def test_each_topic_is_on_one_page():
+    docs = Path(__file__).parents[3] / "docs"
+    placed = [name for page in docs.glob("**/*.md") for name in PLACE.findall(page.read_text())]
+    assert sorted(placed) == sorted(TOPICS)
