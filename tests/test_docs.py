@@ -110,6 +110,7 @@ def test_links_to_files_lead_to_files(page):
 
 LONG = (
     "docs/how_to/identification.md",
+    "docs/how_to/identification_friction.md",
     "docs/how_to/logs.md",
     "docs/how_to/moving_base.md",
     "docs/reference/python.md",

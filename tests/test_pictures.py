@@ -11,6 +11,7 @@ from pathlib import Path
 import moving_picture
 import pytest
 from command_plots import PLOTS, plot_command
+from guide_plots import GUIDE_PLOTS, guide_content
 from pictures import (
     IMAGES,
     MADE_FROM,
@@ -136,6 +137,11 @@ def test_plots_of_theory(name):
 @pytest.mark.parametrize("name", RESULT_PLOTS)
 def test_plots_of_results(name):
     assert made_from(f"{name}.png") == digest(result_content(name)), f"{name}.png {STALE}"
+
+
+@pytest.mark.parametrize("name", GUIDE_PLOTS)
+def test_plots_of_guides(name):
+    assert made_from(f"{name}.png") == digest(guide_content(name)), f"{name}.png {STALE}"
 
 
 def test_all_pictures_are_shown_and_small():

@@ -15,7 +15,6 @@ import json
 import os
 import pty
 import re
-import shlex
 import shutil
 import subprocess
 import sys
@@ -25,7 +24,8 @@ from pathlib import Path
 
 import moving_picture
 import numpy as np
-from command_plots import PLOTS, plot_command
+from command_plots import PLOTS, page_files, plot_command
+from guide_plots import GUIDE_PLOTS, guide_content
 from PIL import Image, ImageDraw, ImageFont
 from PIL.PngImagePlugin import PngInfo
 from recordings import read_recording
@@ -73,6 +73,9 @@ TITLE, LOWER_ROW = (37, 66), (401, 908)
 
 COLORS = 128
 """Of a picture."""
+
+NEARLY_WHITE = 250
+"""Channels of colors that are white, and that the reduction of colors makes a little darker."""
 
 WIDGET = "application/vnd.jupyter.widget-view+json"
 """Type of outputs that only a running notebook shows."""
@@ -248,6 +251,9 @@ def save(
     told = PngInfo()
     told.add_text(MADE_FROM, digest(content))
     reduced = image.convert("RGB").quantize(COLORS, method, dither=Image.Dither.NONE)
+    palette = np.reshape(reduced.getpalette(), (-1, 3))
+    palette[palette.min(axis=1) > NEARLY_WHITE] = 255
+    reduced.putpalette(palette.ravel().tolist())
     reduced.save(IMAGES / f"{name}.png", pnginfo=told, optimize=True)
 
 
@@ -362,11 +368,18 @@ def of_paper(folder: Path) -> None:
 
 
 def of_plots(folder: Path) -> None:
-    """Make the plots of commands, which are known by their commands alone."""
+    """Make the plots and pages of commands, which are known by their commands alone."""
+    for name in ("examples", "mjcf"):
+        shutil.copytree(ROOT / name, folder / name)
     for name, plot in PLOTS.items():
         command = plot_command(plot)
-        subprocess.run(shlex.split(command), cwd=folder, env=environment(80), check=True)
-        save(Image.open(folder / "output" / plot.file), name, command)
+        for file, text in page_files(plot.page).items():
+            (folder / file).write_text(text)
+        for each in (*plot.before, command, *plot.after):  # statuses other than 0 are results, too
+            subprocess.run(each, shell=True, cwd=folder, env=environment(80), check=False)
+        path = folder / "output" / plot.file
+        image = browser(path, plot.window) if plot.window else Image.open(path)
+        save(image, name, command, Image.Quantize.FASTOCTREE)
 
 
 def of_motion(folder: Path) -> None:
@@ -374,18 +387,14 @@ def of_motion(folder: Path) -> None:
     moving_picture.save(IMAGES, digest(moving_picture.content()))
 
 
-def of_theory(folder: Path) -> None:
-    """Make the plots of the pages on theory."""
-    for name, draw in THEORY_PLOTS.items():
+def of_drawings(folder: Path) -> None:
+    """Make the plots that functions draw: of pages on theory, of results and of how-to pages."""
+    contents = {name: (draw, theory_content(name)) for name, draw in THEORY_PLOTS.items()}
+    contents |= {name: (plot.draw, result_content(name)) for name, plot in RESULT_PLOTS.items()}
+    contents |= {name: (draw, guide_content(name)) for name, draw in GUIDE_PLOTS.items()}
+    for name, (draw, content) in contents.items():
         draw().savefig(folder / f"{name}.png", dpi=110)
-        save(Image.open(folder / f"{name}.png"), name, theory_content(name))
-
-
-def of_results(folder: Path) -> None:
-    """Make the plots of the pages on results."""
-    for name, plot in RESULT_PLOTS.items():
-        plot.draw().savefig(folder / f"{name}.png", dpi=110)
-        save(Image.open(folder / f"{name}.png"), name, result_content(name), Image.Quantize.FASTOCTREE)
+        save(Image.open(folder / f"{name}.png"), name, content, Image.Quantize.FASTOCTREE)
 
 
 MAKERS = {
@@ -396,8 +405,7 @@ MAKERS = {
     "paper": of_paper,
     "plots": of_plots,
     "motion": of_motion,
-    "theory": of_theory,
-    "results": of_results,
+    "drawings": of_drawings,
 }
 """Makers of pictures by name: all, or those that are named on the command line."""
 
