@@ -28,7 +28,7 @@ BOOSTS = {
     "how_to": 1.5,
     "explanation": 1.3,
     "reference": 1.3,
-    "reference/python": 0.8,
+    "reference/python": 0.5,
     "results": 0.5,
 }
 """Factors on the score of the pages of a folder in the search; 1 for others."""
