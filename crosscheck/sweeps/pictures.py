@@ -78,7 +78,8 @@ def pictures(
         ),
         "scatter.png": _grid_of_plots(
             rows=len(shown),
-            columns=min(SCATTER_COLUMNS, max(len(found) for _, found in shown)),
+            # too few runs have no effects
+            columns=max(1, min(SCATTER_COLUMNS, max(len(found) for _, found in shown))),
             draw=lambda axes: _scatter(axes, shown, points, inputs, units),
             height=2.4,
         ),
