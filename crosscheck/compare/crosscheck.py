@@ -18,6 +18,7 @@ from crosscheck.compare.advice import Advice, redundancy_advice
 from crosscheck.compare.check import Check, require_finite
 from crosscheck.compare.coverage import Coverage, coverage
 from crosscheck.compare.levels import in_order, reading_checks, stages
+from crosscheck.compare.participation import by_runs_only
 from crosscheck.compare.reference_values import ReferenceCheck, known_of, measure
 from crosscheck.compare.result import JUDGING, EngineComparison, diagnosed, misread
 from crosscheck.compare.runs import measure_run_errors
@@ -174,6 +175,9 @@ def crosscheck(
     what = "measuring each engine's error"
     with collecting_errors(what, note_stops), limited(what, SHORTER_RUN_ADVICE, progress):
         trusted = [engine for engine in usable if engine.name not in outliers]
+        # the first one provides the reference: an engine whose equations are compared, if there is one
+        unverified = by_runs_only([engine.name for engine in trusted], checks)
+        trusted.sort(key=lambda engine: engine.name in unverified)
         run_errors = measure_run_errors(scene, trusted, comparable)
     return Crosscheck(
         source=source,

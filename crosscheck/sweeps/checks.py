@@ -69,7 +69,7 @@ class CheckedRun:
     Attributes:
         run: index of the run in the sweep.
         why: reason why the run was chosen.
-        complete: True if all engines completed the run.
+        complete: True if all engines completed the run, and each is compared with others by judged checks.
         agrees: True if the engines agree with each other, as in `crosscheck run`.
         verdict: verdict line of the crosscheck.
         kept: comparisons of kept outputs with the sweep, see `_check_kept`.
@@ -193,7 +193,7 @@ def _check(
         kept = tuple(_check_kept(swept, kept_numbers, run, result, engines))
     except (CrosscheckError, NewtonEulerError) as error:
         return CheckedRun(run, why, complete=False, agrees=True, verdict=str(error), engines=names)
-    complete = not (result.left_out or result.unfinished)
+    complete = not (result.left_out or result.unfinished or result.uncompared)
     return CheckedRun(
         run,
         why,

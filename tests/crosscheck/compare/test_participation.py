@@ -70,6 +70,20 @@ def test_an_engine_without_equations_has_no_part_in_their_levels(compared):
     assert compared.summary()["engines"]["bare"]["checks"] == bare._asdict()
 
 
+def test_errors_are_measured_by_an_engine_whose_equations_are_compared():
+    """The reference is newton_euler's refined run, although the engine without equations is named first."""
+
+    def shifted(scene):
+        run = BARE.refined(scene)
+        return replace(run, position=run.position + 1e-3)
+
+    wrong_reference = replace(BARE, refined=shifted)
+    scene = replace(pendulum(), duration=0.2)
+    found = crosscheck(scene, [wrong_reference, SOLVER], lambda _: None, "", {})
+    assert found.outcome is Outcome.AGREE
+    assert max(found.run_errors.values()) < 1e-8
+
+
 def test_the_table_of_levels_shows_who_has_no_part(compared):
     """The columns are differences from the first engine with equations, whichever is named first."""
     table = levels_table(compared)
