@@ -6,7 +6,15 @@ from pathlib import Path
 
 import click
 
-from crosscheck.cli.shared import cli, folder_option, next_step, progress_shown, show, verbose_option
+from crosscheck.cli.shared import (
+    cli,
+    explanation_steps,
+    folder_option,
+    next_step,
+    progress_shown,
+    show,
+    verbose_option,
+)
 from crosscheck.report.render import as_json
 
 
@@ -44,5 +52,7 @@ def importers_command(file: str, output: Path | None) -> int:
         comparison = compare_importers(file, progress)
     found = report(comparison)
     write_files({path: as_json(comparison.summary(), found)})
-    show(found, f"wrote {path}", f"more  {next_step('report', path.parent)}")
+    failures = [each.reading.failure for each in comparison.others if each.reading.failure]
+    steps = explanation_steps(*(failure.value.lower() for failure in failures[:1]))
+    show(found, *steps, f"wrote {path}", f"more  {next_step('report', path.parent)}")
     return comparison.outcome.exit_status()

@@ -83,7 +83,7 @@ def list_command(scene: str | None, settings: tuple[str, ...]) -> int:
         say(f"{kind}:")
         for name, choice in options.items():
             say(f"    --set {name}={choice.values}  [default: {choice.default}]")
-    say(f"limits of whatever is read and run{':' if is_verbose() else ', such as time=600: list -v'}")
+    say(f"limits of computations{':' if is_verbose() else ', such as time=600: `crosscheck list -v`'}")
     for name, limit in LIMITS.items() if is_verbose() else ():
         say(f"    --set {name}={limit.unit.upper()}, {limit.meaning}  [default: {limit}]")
     say("engines:")

@@ -114,7 +114,11 @@ def drive_report(found: DriveResults) -> Report:
     count = len(found.drives)
     title = f"{found.name}: {count} drive{'s' * (count != 1)} of {found.catalog}"
     unserved = found.unserved
-    verdict = f"no drive suits {listed(unserved)}" if unserved else "each actuator has a drive that suits it"
+    verdict = "each actuator has a suitable drive"
+    if unserved:
+        verdict = (
+            f"no drive suits {listed(unserved)}; needed: other drives in the catalog, or a smaller --margin"
+        )
     judged = Cell("", "fails" if unserved else "holds")
     summary: list[Part] = [_forces(found), _powers(found)]
     summary += [_drives(found, motion) for motion in found.motions]
@@ -216,7 +220,7 @@ def _drives(found: DriveResults, motion: ActuatorMotion) -> Table:
     for drive in found.drives:
         sized = found.sized[drive.name, motion.name]
         failing = found.requirements.failing(sized)
-        verdict = Cell(failing, "fails") if failing else Cell("suits", "holds")
+        verdict = Cell(failing, "fails") if failing else Cell("nothing", "holds")
         if sized.mismatch:
             rows.append([drive.name, "", "", "", "", "", verdict])
             continue
@@ -227,7 +231,7 @@ def _drives(found: DriveResults, motion: ActuatorMotion) -> Table:
     columns = [
         Column("drive"),
         *number_columns("speed, %", "peak, %", "rms, %", "energy, J"),
-        *text_columns("holds", "verdict"),
+        *text_columns("holds", "fails at"),
     ]
     return Table(f"{motion.name}: margins of speed, peak torque and rms torque", columns, rows)
 

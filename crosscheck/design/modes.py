@@ -328,7 +328,7 @@ def pose_lines(found: ModalAnalysis) -> list[str]:
         "start": "the pose is the initial one",
         "pose": "the control laws hold the pose that was asked for",
         "run": "the run comes to rest in this pose",
-        "slow motion": "the run does not come to rest: slow motion from the start ends in this pose",
+        "slow motion": "the run does not come to rest; a motion without inertia ends in this pose",
     }[found.about]
     if found.about == "pose" and not found.model.is_equilibrium:
         text = "nothing holds the pose that was asked for"

@@ -221,7 +221,7 @@ def gap_text(motion: Motion) -> str:
     """Tell which constraint of the second robot the poses of the first violate most."""
     gap = max(motion.gaps, key=lambda gap: (gap.is_open, gap.error))
     size = length(gap.error) if gap.unit == "m" else angle(gap.error)
-    return f"{gap.constraint!r} is off by {size}"
+    return f"constraint {gap.constraint!r} is violated by {size}"
 
 
 def run_text(run: Run) -> str:

@@ -76,16 +76,16 @@ def _verdict(comparison: ImportersComparison) -> str:
     """Tell in one sentence which importers read the same robot as the reference."""
     words = {
         Outcome.SAME: "reads the same robot",
-        Outcome.SAME_TO_ROUNDING: "reads the same robot to rounding",
+        Outcome.SAME_TO_ROUNDING: "reads the same robot up to rounding",
         Outcome.DIFFERENT: "reads another robot",
         Failure.REFUSED: "refuses the file",
-        Failure.NOT_DESCRIBED: "makes a model that cannot be compared",
+        Failure.NOT_DESCRIBED: "reads a model that cannot be compared",
         Failure.CRASHED: "crashes",
         Failure.NOT_INSTALLED: "is not installed",
     }
     results = [f"{each.reading.importer} {words[each.result]}" for each in comparison.others]
-    against = f" (against {comparison.reference.importer})" if comparison.reference else ""
-    return ", ".join(results) + against
+    against = f"compared with {comparison.reference.importer}, " if comparison.reference else ""
+    return against + ", ".join(results)
 
 
 def _name(importer: str) -> str:
@@ -106,7 +106,7 @@ def _cells(comparison: ImportersComparison, each: ImporterComparison) -> list[st
     if count := len(each.differences):
         text = f"{count} difference{'' if count == 1 else 's'}; {text}"
     elif result is Outcome.DIFFERENT:
-        text = f"only its documented limits; {text}"
+        text = f"only what it ignores as documented; {text}"
     return [Cell(result.value, result.judged), text]
 
 
@@ -123,7 +123,7 @@ def _notes(comparison: ImportersComparison) -> Iterator[str]:
         left_out += [sentence(row, _sides(comparison, each)) for row in each.left_out]
         if left_out and each.limit:
             what = "; ".join(left_out)
-            yield f"{each.reading.importer} leaves out, as documented ({each.limit.words}): {what}"
+            yield f"{each.reading.importer} ignores, as documented ({each.limit.words}): {what}"
         if each.comparison:
             yield from (f"{each.reading.importer}: {note}" for note in each.comparison.motion.notes)
         if each.reading.file:

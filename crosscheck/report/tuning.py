@@ -97,7 +97,7 @@ def _cost(tried: Tried, of_file: Tried) -> str:
     """Format the cost of settings (evaluations of the equations of motion) relative to those of the file."""
     ratio = tried.evaluations / of_file.evaluations
     if ratio == 1.0:
-        return "as many evaluations as with your settings"
+        return "the same number of evaluations as your settings"
     return f"{ratio:.3g} times the evaluations of your settings"
 
 
@@ -124,7 +124,7 @@ def _notes(tuning: SettingsSearch) -> Iterator[str]:
     """Yield how the settings were found, and the limits of the result."""
     yield (
         f"{tuning.runs} runs, the cheapest settings first, by evaluations of the equations of motion; errors "
-        "are parts of the motion"
+        "are relative to the motion"
     )
     if tuning.events:
         yield f"note: the error is without {unsimulated_text(tuning.events)}"

@@ -260,7 +260,7 @@ class Day:
         return {
             "one axis only": angles(self.aim.direction, in_front),
             "limits of tilt, shadow and wind": angles(free_now, self.aim.direction) + behind,
-            "the sun's way in a period": angles(free, free_now),
+            "motion of the sun between set-points": angles(free, free_now),
             "dead band": angles(held, free),
             "obstacles": angles(faced, held),
             "reach of the mechanism": angles(reached, faced),

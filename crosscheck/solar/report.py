@@ -165,11 +165,11 @@ def verdict(day: Day) -> str:
     best = "faces the sun" if not day.has_one_axis else "comes as near to the sun as one axis allows"
     text = f"{best} for {day.hours(faces):.1f} h"
     if faces.any():
-        text += f" to {np.degrees(np.max(day.errors[faces])):.2f} deg"
+        text += f", within {np.degrees(np.max(day.errors[faces])):.2f} deg"
     limited_hours = day.hours(day.sun.is_up & ~faces & ~day.stowed & ~day.faced.replaced)
     if limited_hours > 0.0:
         most_tilt = f"{day.tracking.most_tilt:g} deg"
-        text += f", and for {limited_hours:.1f} h points as close to it as a tilt of {most_tilt} allows"
+        text += f"; for {limited_hours:.1f} h points as close to the sun as a tilt of {most_tilt} allows"
     if day.wind is not None and np.isfinite(day.tracking.stow):
         flat = day.sun.is_up & day.stowed
         flat_hours = day.hours(flat)
@@ -218,7 +218,7 @@ def forces_text(day: Day) -> str:
         )
         clauses.append(f"{holding:.4g} {unit} at rest and {moving:.4g} {unit} in motion")
     energy = sum(actuator.energy for actuator in day.actuators.values())
-    return f"actuators need up to {', '.join(clauses)}, and {energy / 3.6:.3g} mWh"
+    return f"actuators need up to {', '.join(clauses)}, and {energy / 3.6:.3g} mWh of energy"
 
 
 def assumptions(day: Day) -> Iterator[str]:

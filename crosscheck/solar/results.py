@@ -101,7 +101,7 @@ def summary_of(day: Day) -> dict[str, Any]:
                 largest[kind] = {"force": float(forces[k]), "time": day.sun.times[k].isoformat()}
         speed, power = (float(np.max(np.abs(values))) for values in (actuator.speed, actuator.power))
         actuators[name] = {**largest, "speed": speed, "power": power, "energy": actuator.energy}
-    errors = {"all together": day.errors, **day.error_parts}
+    errors = {"total": day.errors, **day.error_parts}
     causes = day.faced.wanted_checks.cause
     return {
         "scene": day.scene.name,
@@ -196,7 +196,7 @@ def picture(day: Day) -> Figure:
     normal_elevation = np.degrees(np.arcsin(np.clip(day.in_world(day.normals)[:, 2], -1.0, 1.0)))
     sun_elevation = np.where(up, np.degrees(day.sun.elevation), np.nan)
     draw(angle_plot, {"sun's elevation": sun_elevation, "normal's elevation": normal_elevation}, "deg")
-    errors = {"all together": day.errors, **day.error_parts}
+    errors = {"total": day.errors, **day.error_parts}
     shown = {name: np.where(up, np.degrees(values), np.nan) for name, values in errors.items()}
     draw(error_plot, {name: e for name, e in shown.items() if np.nanmax(e) > 1e-3}, "pointing error, deg")
     scales = {name: day.scale(name) for name in day.set_points}

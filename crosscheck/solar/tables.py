@@ -57,7 +57,7 @@ def largest_at(forces: Array) -> int | None:
 def error_table(day: Day) -> Table:
     """Tabulate the pointing error while the panel faces the sun, and its parts by cause."""
     rows: Rows = []
-    for name, part in {"all together": day.errors, **day.error_parts}.items():
+    for name, part in {"total": day.errors, **day.error_parts}.items():
         values = np.degrees(part[day.faces])
         if len(values) and (not rows or values.max() > NEGLIGIBLE_ERROR):
             k = np.flatnonzero(day.faces)[np.argmax(values)]

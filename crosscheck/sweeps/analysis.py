@@ -134,7 +134,7 @@ class Analysis:
             return ""
         runs, least = self._samples.runs, MIN_SALTELLI_SAMPLES * block if block > 1 else MIN_SHARE_RUNS
         return (
-            f"too few runs for shares of variance: {runs:,}; needed: {least:,} or more"
+            f"no Sobol indices (shares of variance): {runs:,} runs; needed: --runs {least} or more"
             if runs < least
             else ""
         )

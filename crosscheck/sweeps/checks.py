@@ -124,7 +124,7 @@ def chosen(
     drawn = generator.choice(completed, min(count, len(completed)), replace=False)
     random = [(int(run), CHOSEN_AT_RANDOM) for run in drawn]
     extreme = [
-        (scalar.extreme(largest), f"{'most' if largest else 'least'} {scalar.label}")
+        (scalar.extreme(largest), f"{'largest' if largest else 'smallest'} {scalar.label}")
         for scalar in most_informative
         for largest in (True, False)
     ]
@@ -215,13 +215,13 @@ def result_line(checked: Sequence[CheckedRun], extremes: Collection[int]) -> str
         checked: the crosschecks.
         extremes: indices of all extreme runs, including those that were not cross-checked.
     """
-    # the number of cross-checked runs, as "4 runs (2 of 6 extremes, 2 at random)"
+    # the number of cross-checked runs, as "4 runs (2 of 6 with extreme outputs, 2 at random)"
     count, random = len(checked), sum(each.why == CHOSEN_AT_RANDOM for each in checked)
     unchecked = len(set(extremes).difference(each.run for each in checked))
     of_extremes = (
-        f"{count - random} of {count - random + unchecked} extremes"
+        f"{count - random} of {count - random + unchecked} with extreme outputs"
         if unchecked
-        else f"{count - random} extreme"
+        else f"{count - random} with extreme outputs"
     )
     kinds = [of_extremes] * (count > random) + [f"{random} at random"] * (random > 0)
     of_runs = f"{count} run{'s'[: count - 1]} ({', '.join(kinds)})"
@@ -237,19 +237,21 @@ def result_line(checked: Sequence[CheckedRun], extremes: Collection[int]) -> str
     kept = [check for each in checked for check in each.kept]
     judged = [check for check in kept if check.judged]
     engines = checked[0].engines
-    who = "the default engines" if set(engines) == set(ENGINES) else ", ".join(engines)
-    who += " alone" if len(engines) == 1 else ""
+    who = "the default engines agree" if set(engines) == set(ENGINES) else f"{', '.join(engines)} agree"
+    if len(engines) == 1:
+        who = f"{engines[0]} passes"
     found = f"{who} in all checks of {of_runs}"
     if judged:
-        found += (
-            f"; kept outputs agree too, closest to failing: {_difference(max(judged, key=_tolerance_ratio))}"
-        )
+        nearest = _difference(max(judged, key=_tolerance_ratio))
+        found += f"; stored outputs agree, too, closest to failing: {nearest}"
     # The reasons why numbers are not judged
     soft = sorted({check.between[0] for check in kept if check.detail == SOFT_CONSTRAINTS})
     unconverged = sum(bool(check.unconverged) for check in kept)
-    not_judged = [f"reactions of {name}, whose constraints are soft" for name in soft]
+    not_judged = [f"reactions of {name} (soft constraints)" for name in soft]
     not_judged += ["reactions that are not unique"] * any(check.detail == NOT_UNIQUE for check in kept)
-    not_judged += [f"{unconverged} numbers of unconverged runs"] if unconverged else []
+    not_judged += (
+        [f"{unconverged} outputs whose difference a finer run reduces too little"] if unconverged else []
+    )
     found += f"; not judged: {', '.join(not_judged)}" if not_judged else ""
     return found if any(each.moves for each in checked) else f"{found}; nothing moves"
 

@@ -112,7 +112,7 @@ def findings(
     without_shares = [scalar.label for scalar, found in effects if found and found[0].share is None]
     too_few = analysis.too_few
     if without_shares and not too_few:
-        too_few = f"no shares of variance of {', '.join(without_shares)}: too many runs without it"
+        too_few = f"no Sobol indices of {', '.join(without_shares)}: too many runs without it"
     return Findings(
         swept=swept,
         scalars=scalars,

@@ -27,7 +27,7 @@ MAX_KEPT_NUMBERS = 200
 MAX_READ_NUMBERS = 2**20
 """Largest number of values that are read from the store at a time."""
 
-QUANTILE_LEVELS = {"least": 0.0, "5 %": 0.05, "median": 0.5, "95 %": 0.95, "most": 1.0}
+QUANTILE_LEVELS = {"min": 0.0, "5 %": 0.05, "median": 0.5, "95 %": 0.95, "max": 1.0}
 """Probabilities of the reported quantiles, by name."""
 
 SAME_SPREAD_RATIO = 1.1

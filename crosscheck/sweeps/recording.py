@@ -9,7 +9,7 @@ of the time series that a result is computed from.
 Entities (paths of logged data in the recording):
     /ground                 shapes of the fixed body
     /mechanism/RUN/BODY     shapes and poses over time, of the nominal run and of each extreme run
-    /plots/K/LINE           envelope K: the quantiles `least`, `5 %`, `median`, `95 %`, `most`; single runs
+    /plots/K/LINE           envelope K: the quantiles `min`, `5 %`, `median`, `95 %`, `max`; single runs
     /sweep                  the tables, as text
 """
 

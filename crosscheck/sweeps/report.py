@@ -51,6 +51,9 @@ MAX_PRINTED_BARS = 4
 MAX_PRINTED_REASONS = 3
 """Largest number of lines of each kind of note in the terminal, for example of reasons of failed runs."""
 
+MIN_WHOLE_RATE = 10.0
+"""Smallest number of runs per second that is printed without decimals."""
+
 BAR_WIDTH = 10
 """Characters of a bar for an effect of 100 %, made of "=", since Rerun's viewer has no block characters."""
 
@@ -78,21 +81,22 @@ def report(found: Findings) -> Report:
     runs_text = "1 run" if samples.runs == 1 else f"{samples.runs:,} runs"
     title = f"{swept.plan.scene.name}: {runs_text}, {samples.sampling}, seed {samples.seed}"
     if swept.executed:
-        title += f"; {swept.executed:,} made at {swept.executed / swept.wall_time:,.0f} per s"
+        rate = swept.executed / swept.wall_time
+        title += f"; {swept.executed:,} simulated, {rate:,.{0 if rate >= MIN_WHOLE_RATE else 2}f} runs/s"
     if swept.executed < samples.runs:
-        title += f"; {samples.runs - swept.executed:,} were stored"
+        title += f"; {samples.runs - swept.executed:,} from earlier commands"
     # Notes of the summary: damaged files, and which part of the runs and numbers is analyzed
     notes = [*swept.repaired[:MAX_PRINTED_REASONS]]
     if (more := len(swept.repaired) - MAX_PRINTED_REASONS) > 0:
-        notes.append(f"{more} more files were damaged and their runs repeated; -v prints all")
+        notes.append(f"{more} more files were damaged, and their runs repeated; -v prints all")
     part_of_runs = ""
     if (count := len(analyzed(swept))) < samples.runs:
         part_of_runs = f"of {count:,} runs from all parts of the sweep"
-        notes.append(f"quantiles and extremes are {part_of_runs}")
+        notes.append(f"quantiles and extremes are those {part_of_runs}")
     for each in swept.plan.kept:
         size = int(np.prod(swept.dataset[each.name].shape[1:]))
         if (count := sum(scalar.variable == each.name for scalar in found.scalars)) < size:
-            notes.append(f"{each.name}: {count} of its {size:,} numbers of a run are analyzed, evenly spread")
+            notes.append(f"{each.name}: {count} of its {size:,} components are analyzed, evenly spread")
     # All tables
     parts: list[Part] = [_quantiles(found, found.scalars, f"quantiles {part_of_runs}".rstrip())]
     parts += [_effects(scalar, effects, None) for scalar, effects in found.effects if effects]
@@ -185,8 +189,8 @@ def _not_shown(found: Findings, printed: Sequence[KeptNumber]) -> list[str]:
         printed: the kept numbers that the terminal shows.
     """
     counts = {
-        "numbers that do not vary": sum(not each.varies and each not in printed for each in found.scalars),
-        "numbers that vary less": sum(each.varies and each not in printed for each in found.scalars),
+        "outputs that do not vary": sum(not each.varies and each not in printed for each in found.scalars),
+        "outputs that vary less": sum(each.varies and each not in printed for each in found.scalars),
         "charts of effects": len(found.effects) - MAX_PRINTED_CHARTS,
     }
     texts = [f"{what}: {count}" for what, count in counts.items() if count > 0]
@@ -226,7 +230,7 @@ def _quantiles(found: Findings, scalars: Sequence[KeptNumber], title: str) -> Ta
         title: title of the table; empty for the short form in the terminal, without the smallest value.
     """
     shown = slice(None if title else 1, None)  # of `QUANTILE_LEVELS`, whose first one is the smallest value
-    columns = [Column("of each run"), *number_columns("nominal", *list(QUANTILE_LEVELS)[shown])]
+    columns = [Column("output"), *number_columns("nominal", *list(QUANTILE_LEVELS)[shown])]
     rows: Rows = []
     for variable, members in groupby(scalars, key=lambda each: each.variable):
         of_variable = list(members)
@@ -268,8 +272,8 @@ def _effects(scalar: KeptNumber, found: Sequence[Effect], most: int | None) -> T
     if len(found) > len(rows):
         rows.append([f"{len(found) - len(rows)} smaller effects: -v"])
     heads = ["share of variance"] if found and found[0].share is not None else []
-    columns = [Column(f"{scalar.label} by"), *number_columns(*heads, "rank"), Column("")]
-    return Table("" if most else f"effects on {scalar.label}", columns, rows)
+    columns = [Column(f"effects on {scalar.label}"), *number_columns(*heads, "rank correlation"), Column("")]
+    return Table("" if most else scalar.label, columns, rows)
 
 
 def _checks(checked: Sequence[CheckedRun]) -> list[Part]:
@@ -292,7 +296,7 @@ def _checks(checked: Sequence[CheckedRun]) -> list[Part]:
                 difference = Cell(f"{check.value:.1e}, {check.detail or reason}")
             kept.append([check.quantity, check.between[0], difference])
     columns = [*number_columns("run"), *text_columns("chosen", "engines")]
-    columns_of_kept = [*text_columns("kept number", "engine"), *number_columns("difference")]
+    columns_of_kept = [*text_columns("output", "engine"), *number_columns("difference")]
     parts: list[Part] = [Table("runs that were cross-checked", columns, rows, folded=True)]
     parts.append(Table("kept outputs of these runs, closest to failing", columns_of_kept, kept, folded=True))
     wrong = [f"run {each.run}: {each.verdict}" for each in checked if not (each.agrees and each.complete)]
@@ -342,17 +346,17 @@ def _missing_numbers(found: Findings) -> list[str]:
         known = np.isfinite(scalar.values)
         completed = ~np.isin(scalar.runs, found.swept.failed_runs)
         if completed.any() and not known.any():
-            lines.append(f"{scalar.label}: a number in no run")
+            lines.append(f"{scalar.label}: has no value in any run")
         elif np.any(completed & ~known):
             lines.append(
-                f"{scalar.label}: a number in {known.sum():,} of {completed.sum():,} runs, "
-                "which tables are of"
+                f"{scalar.label}: has a value in {known.sum():,} of {completed.sum():,} runs; tables are of "
+                "these runs"
             )
     for scalar, effects in found.effects if block > 1 else ():
         whole = np.asarray(np.isfinite(scalar.values).reshape(-1, block).all(axis=1))
         if effects and effects[0].total is not None and not whole.all():
             of_all = f"{whole.sum():,} of {len(whole):,} base samples"
             lines.append(
-                f"what matters for {scalar.label} is of {of_all}: without the others shares are distorted"
+                f"effects on {scalar.label} are those of {of_all}: without the others they are distorted"
             )
     return lines

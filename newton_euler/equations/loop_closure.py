@@ -246,7 +246,7 @@ class FileStart(ABC):
             return q, [f"starts from {called}: no loops"], None
         units, owners = self.units(), self.owners
         if largest(before / units.rows) <= MAX_CLOSED_RESIDUAL:
-            return q, [f"starts from {called}: all loops closed, to {largest(before):.1e}"], None
+            return q, [f"starts from {called}: all loops closed, to {largest(before):.1e} m or rad"], None
         # close the loops
         centers = self.centers()
         found = close(q, self.residuals, self.moved, units, tolerance)

@@ -39,7 +39,7 @@ def test_a_motion_and_the_example(capsys, monkeypatch, tmp_path):
     motion.write_text(MOTION)
     status, out, err = run(capsys, "drives", motion, "--catalog", CATALOG, "--output", folder)
     assert (status, err) == (0, "")
-    assert out.splitlines()[1] == "each actuator has a drive that suits it"
+    assert out.splitlines()[1] == "each actuator has a suitable drive"
     assert max(len(line) for line in out.splitlines() if "/" not in line) <= 80
     table = csv_rows(folder / "drives.csv")
     assert {row["actuator"] for row in table} == {"lift"}

@@ -81,7 +81,7 @@ def test_an_open_start_is_closed_and_reported(tmp_path: Path) -> None:
     assert "assembled next to bent: closed to" in second
     assert verified(found)
     other = reading(tmp_path, FOUR_BARS["cut at C by a connect"].replace("</mujoco>", key), key="qpos0")
-    assert other.report.start[0] == "starts from qpos0: all loops closed, to 0.0e+00"
+    assert other.report.start[0] == "starts from qpos0: all loops closed, to 0.0e+00 m or rad"
 
 
 ELBOW = FOUR_BARS["cut at C by a connect"].replace("</mujoco>", "<keyframe>{0}</keyframe></mujoco>")

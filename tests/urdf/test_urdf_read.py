@@ -63,7 +63,7 @@ def test_free_and_planar_joints_and_mimics(tmp_path: Path) -> None:
     where = "followers of mimics start at these coordinates, with drivers at 0, m or rad: "
     assert found.report.start[:2] == [
         where + "'follows' 0.1",
-        "starts from coordinates 0 and mimics at their offsets: all loops closed, to 0.0e+00",
+        "starts from coordinates 0 and mimics at their offsets: all loops closed, to 0.0e+00 m or rad",
     ]
 
 

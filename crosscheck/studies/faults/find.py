@@ -59,7 +59,7 @@ compare its motion: poses, velocities, energies, accelerations and reactions."""
 REFUSED = "refused"
 """Level of the detection of a fault with which an engine, or the mechanism, raises an error."""
 
-READING = "the reading"
+READING = "the import"
 """Name in place of the engine's name if faults are injected into a scene that was read from a file."""
 
 

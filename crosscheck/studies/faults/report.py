@@ -36,7 +36,7 @@ UNOBSERVABLE_MEANS = (
     f"with and without the fault {SOLVER.name} has the same poses, velocities, energies, accelerations and "
     f"reactions at {RANDOM_STATES + 1} states, to round-off"
 )
-"""Explanation of the word "unobservable" in the report."""
+"""Explanation of "not observable" in the report."""
 
 
 class Count(NamedTuple):
@@ -54,9 +54,9 @@ class Count(NamedTuple):
 
     def __str__(self) -> str:
         if not self.total:
-            return "none"
-        percentages = f"{100 * self.detected / self.total:.3g}%, {100 * self.located / self.total:.3g}%"
-        return f"{self.detected}, {self.located} of {self.total} ({percentages})"
+            return "no faults"
+        detected = f"{self.detected} detected ({100 * self.detected / self.total:.3g} %)"
+        return f"{detected}, {self.located} located ({100 * self.located / self.total:.3g} %)"
 
 
 def count_detected(faults: Iterable[FaultResult]) -> Count:
@@ -161,7 +161,7 @@ def table(search: FaultSearch, every: bool = True) -> Table:
     names = ["faults", "detected", "located"]
     if search.engines != (READING,):
         # observable faults; of these, faults that were detected and located by motion alone
-        names += ["moving", "by motion", "located"]
+        names += ["that move", "detected by motion", "located by motion"]
     head = "kind, and size" if by_kind else "size"
     return Table("", [*text_columns(head), *number_columns(*names)], rows)
 
@@ -193,9 +193,9 @@ def finding_lines(search: FaultSearch, every: bool = True) -> Iterator[str]:
     hidden = [found for found in search.found if not found.observable and found.model_difference is None]
     names = dict.fromkeys(" ".join(filter(None, found.fault.identity)) for found in hidden)
     if names and every:
-        yield f"unobservable, {UNOBSERVABLE_MEANS}: {'; '.join(names)}"
+        yield f"not observable, {UNOBSERVABLE_MEANS}: {'; '.join(names)}"
     elif names:
-        yield f"unobservable, since they change nothing: {len(hidden)} faults"
+        yield f"not observable: {len(hidden)} faults that change no compared number"
 
 
 def _misses(faults: Sequence[FaultResult], search: FaultSearch) -> Iterator[str]:
@@ -233,7 +233,7 @@ def _outcome(found: FaultResult, detection: Detection | None) -> str:
         return f"located wrongly: {fault}: refused: {detection.quantity}"
     outlier = detection.outlier or "no outlier"
     place = f"{outlier}, level {detection.level!r}, {detection.quantity}, at {detection.where}"
-    return f"located wrongly: {fault}: {place}"
+    return f"located wrongly: {fault}: attributed to {place}"
 
 
 def detects_enough(search: FaultSearch) -> bool:
@@ -253,11 +253,12 @@ def verdict(title: str, search: FaultSearch) -> str:
     """Report the numbers of detected and located faults in one line."""
     required = _required(search)
     if search.engines == (READING,):
-        counts = count_detected(required)
-        return f"{title}: faults in the reading that change a motion: detected, located: {counts}"
+        count = count_detected(required)
+        return f"{title}: of {count.total} faults in the import that change a motion: {count}"
+    count, by_motion = count_detected(required), count_detected_by_motion(required)
     return (
-        f"{title}: faults down to {search.smallest:g}: detected, located: {count_detected(required)}; "
-        f"by motion alone: {count_detected_by_motion(required)}"
+        f"{title}: of {count.total} faults of {search.smallest:g} or more: {count}; "
+        f"by motion alone, of {by_motion.total}: {by_motion}"
     )
 
 

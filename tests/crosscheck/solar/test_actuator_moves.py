@@ -139,12 +139,14 @@ def test_parts_of_the_pointing_error_add_up(day):
     assert (day.errors < total + 1e-9).all()
     # turns about one axis add up; here the sun's way and the dead band mostly do
     faces = day.faces
-    assert np.degrees(parts["the sun's way in a period"][faces]).max() == pytest.approx(7.5, abs=0.1)
+    assert np.degrees(parts["motion of the sun between set-points"][faces]).max() == pytest.approx(
+        7.5, abs=0.1
+    )
     assert 0.0 < np.degrees(parts["dead band"].max()) < 2.0 + 1e-9
     assert parts["motion, control and wind load"].max() < 1e-6
     assert parts["limits of tilt, shadow and wind"][faces].max() < 1e-9
     rows = {row[0]: float(row[1]) for row in error_table(day).rows}
-    assert rows["all together"] == pytest.approx(np.degrees(day.errors[faces].max()), abs=1e-3)
+    assert rows["total"] == pytest.approx(np.degrees(day.errors[faces].max()), abs=1e-3)
 
 
 def test_the_accelerated_hour_moves_from_set_point_to_set_point():

@@ -356,7 +356,7 @@ def test_the_table_has_a_row_per_kind_and_size():
     assert report("bar", search_of(of_mass), 1.0).summary[0].rows == sizes[:1]  # no kind with misses
     reading = FaultSearch((replace(of_mass, engine=READING),), (READING,), {}, smallest=0.0)
     assert report("bar", reading, 1.0).parts[0].rows[0] == ["mass", "1", "1", "0"]
-    assert report("bar", reading, 1.0).verdict.startswith("bar: faults in the reading that change a motion")
+    assert report("bar", reading, 1.0).verdict.startswith("bar: of 1 faults in the import that change a motion")
 
 
 @pytest.mark.slow

@@ -56,14 +56,14 @@ def test_a_sweep_prints_what_matters_and_writes_files(capsys, tmp_path, monkeypa
     first, second = content["effects"]["peak:reaction_force pivot"]
     assert (first["name"], first["share"]) == ("dumbbell.mass", None)
     assert first["rank"] - first["rank_error"] > 0.9 > second["rank_error"] > 0.2
-    assert re.search("too few runs for shares of variance: 64.* 400", out)
+    assert re.search("no Sobol indices .*: 64 runs.* 400", out)
     entities = {chunk.entity_path for chunk in RrdReader(str(tmp_path / "sweep.rrd")).stream()}
     assert "/mechanism/nominal/dumbbell" in entities
     assert any(str(path).startswith("/plots/0/") for path in entities)
     # the same again makes no run
     status, again, _ = run(capsys, "sweep", "pendulum", *ARGUMENTS, "--check", "0", "--output", tmp_path)
     assert status == 0
-    assert "made at" not in again
+    assert "simulated" not in again.splitlines()[0]
 
 
 def test_extreme_runs_and_some_at_random_are_cross_checked():
@@ -71,15 +71,15 @@ def test_extreme_runs_and_some_at_random_are_cross_checked():
     swept = sweep(short, {"dumbbell.mass": "uniform(1, 2)"}, 40, "peak:reaction_force").check(3)
     why = {each.run: each.why for each in swept.checks}
     forces = swept.dataset["peak:reaction_force"].values[:, 0]
-    assert why[int(forces.argmax())] == "most peak:reaction_force pivot"
-    assert why[int(forces.argmin())] == "least peak:reaction_force pivot"
+    assert why[int(forces.argmax())] == "largest peak:reaction_force pivot"
+    assert why[int(forces.argmin())] == "smallest peak:reaction_force pivot"
     assert list(why.values()).count("at random") == 1
     assert all(each.complete and not each.differs for each in swept.checks)
     kept = {each.between[0]: each for each in swept.checks[0].kept}
     assert not kept["mujoco"].judged  # forces of its soft joints are some per mille off
     assert 0.0 <= kept["pinocchio"].value <= kept["pinocchio"].tolerance < 1e-6 * forces.max()
     assert swept.report.verdict.startswith(
-        "AGREE: the default engines in all checks of 3 runs (2 extreme, 1 at random); "
+        "AGREE: the default engines agree in all checks of 3 runs (2 with extreme outputs, 1 at random); "
     )
 
 
@@ -93,7 +93,7 @@ def test_a_variable_of_many_numbers_hides_no_other_one():
         "at():dumbbell.position 2 s z",
         ["peak:reaction_force pivot"],
     )
-    assert "at():dumbbell.position: 100 of its 603 numbers of a run are analyzed" in str(swept)
+    assert "at():dumbbell.position: 100 of its 603 components are analyzed" in str(swept)
     swept.results.dataset["peak:reaction_force"][:] *= 1.001
     assert swept.check(1, ["pinocchio"]).report.verdict.startswith("DISAGREE")
 
@@ -187,7 +187,7 @@ def test_what_has_no_effect_is_said_and_checked_all_the_same():
     assert [each.why for each in swept.checks] == ["at random"]
     assert "no effect" in str(swept)
     assert swept.report.verdict.startswith(
-        "AGREE: the default engines in all checks of 1 run (1 at random); "
+        "AGREE: the default engines agree in all checks of 1 run (1 at random); "
     )
 
 
@@ -196,7 +196,7 @@ def test_motions_that_test_nothing_are_not_said_to_agree(capsys, tmp_path):
     others = ("--vary", VARY, "--runs", "3", "--keep", KEEP, "--output", tmp_path / "out")
     status, out, _ = run(capsys, "sweep", "pendulum", *at_rest, *others)
     assert status == 0
-    assert "\nAGREE AT RANDOM STATES ONLY: the default engines in all checks of 1 run" in out
+    assert "\nAGREE AT RANDOM STATES ONLY: the default engines agree in all checks of 1 run" in out
     assert "nothing moves" in out
 
 
@@ -249,8 +249,8 @@ def test_extreme_runs_and_others_are_checked_by_turns_and_engines_are_named():
     swept, told = sweep(short, {"gravity.y": "uniform(-10, 10)"}, 9, keep), list[str]()
     swept = swept.check(3, ["newton_euler"], told.append)
     why = [each.why for each in swept.checks]
-    assert why == ["most final:kinetic_energy", "at random", "least final:kinetic_energy"]
-    words = "ONE ENGINE ALONE: newton_euler alone in all checks of 3 runs (2 of 3 extremes, 1 at random); "
+    assert why == ["largest final:kinetic_energy", "at random", "smallest final:kinetic_energy"]
+    words = "ONE ENGINE ALONE: newton_euler passes in all checks of 3 runs (2 of 3 with extreme outputs,"
     assert swept.report.verdict.startswith(words)
     assert told[0] == "cross-check 1 of 3, unknown time left"
     assert any(
@@ -270,14 +270,14 @@ def test_shares_that_lost_runs_leave_none_of_are_named():
     late = swept.dataset["late"].values
     assert 0.2 < np.isnan(late).mean() < 0.8
     said = " ".join(str(swept).split())
-    assert "no shares of variance of late: too many runs without it" in said
-    assert f"late: a number in {np.isfinite(late).sum()} of 256 runs, which tables are of" in said
+    assert "no Sobol indices of late: too many runs without it" in said
+    assert f"late: has a value in {np.isfinite(late).sum()} of 256 runs" in said
 
 
 def test_numbers_that_no_run_has_are_named():
     short = replace(load("pendulum"), duration=0.1)
     swept = sweep(short, {"dumbbell.mass": "uniform(1, 2)"}, 3, "up=when:dumbbell.position.y > 0.1")
-    assert "up: a number in no run" in str(swept).splitlines()
+    assert "up: has no value in any run" in str(swept).splitlines()
     assert "nan" not in str(swept)
 
 
@@ -293,7 +293,7 @@ def test_base_samples_that_shares_are_of_are_counted():
     swept = sweep(short, TWO, 4 * 128, keep, sampling="saltelli")
     whole = np.isfinite(swept.dataset["late"].values).reshape(-1, 4).all(axis=1).sum()
     assert 64 <= whole < 128
-    assert f"what matters for late is of {whole} of 128 base samples" in " ".join(str(swept).split())
+    assert f"effects on late are those of {whole} of 128 base samples" in " ".join(str(swept).split())
 
 
 def test_a_nominal_run_that_cannot_go_on_is_left_out(tmp_path):
@@ -365,7 +365,7 @@ def test_a_kept_number_that_engines_do_not_confirm_is_named():
     verdict = swept.check(2).report.verdict
     assert verdict.startswith("DISAGREE: run ")
     assert "final:kinetic_energy, " in verdict
-    assert " J; 2 runs (1 extreme, 1 at random) cross-checked; " in verdict
+    assert " J; 2 runs (1 with extreme outputs, 1 at random) cross-checked; " in verdict
 
 
 def test_a_far_run_does_not_loosen_the_checks_of_others():

@@ -54,7 +54,7 @@ def test_an_interrupted_sweep_goes_on(reference, tmp_path):
     found = sweep(*ARGUMENTS, output=tmp_path, progress=told.append)
     assert found.results.executed == 60 - there
     assert any(line.startswith(f"{there} of 60 runs") for line in told)
-    assert f"; {there} were stored" in found.report.title
+    assert f"; {there} from earlier commands" in found.report.title
     assert_equal(found, reference)
     assert sweep(*ARGUMENTS, output=tmp_path).results.executed == 0
 
@@ -107,7 +107,7 @@ def test_a_small_sweep_that_goes_on_has_as_few_files_as_a_large_one(tmp_path, mo
     found = sweep(*arguments, 6000, "peak:reaction_force", output=tmp_path, progress=told.append)
     assert found.results.executed == 5990
     assert any(line.startswith("10 of 6,000 runs") for line in told)
-    assert "5,990 made" in found.report.title
+    assert "5,990 simulated" in found.report.title
     # 512 runs, a power of 2, take a second
     for name in ("status", "dumbbell.mass", "peak:reaction_force"):
         chunks = [path for path in (tmp_path / STORE_NAME / name / "c").rglob("*") if path.is_file()]
