@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from crosscheck.compare.note import Note
 from crosscheck.engines.engine import MAX_RELATIVE_ERROR
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.scene import Scene
@@ -196,7 +197,7 @@ def not_compared(checks: Sequence[Check]) -> Iterator[str]:
             (common,) = shared
             others = [name for pair in differing for name in pair if name != common]
             words = f"{common} with {' and '.join(others)}"
-        yield f"not compared after {level!r}: {words}"
+        yield f"{Note.NOT_COMPARED} {level!r}: {words}"
 
 
 def reach(scene: Scene, position: Array) -> float:

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from crosscheck.compare.allowed_motions import body_units
+from crosscheck.compare.note import Note
 from crosscheck.engines.adaptive import newton_euler_options
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.equations.redundancy import constraint_rank
@@ -84,11 +85,11 @@ class SingularConfigurations:
 
     def __str__(self) -> str:
         first, *others = self.times
-        begins = "starts in" if first == 0.0 else "passes"
+        begins = Note.STARTS_SINGULAR if first == 0.0 else Note.PASSES_SINGULAR
         when = f"at {first:.4g} s{' and at other times' if others else ''}"
         gained = f"{self.freedoms} freedom{'s' * (self.freedoms > 1)}"
         return (
-            f"{begins} a singular configuration {when}: bodies {listed(self.bodies)} gain {gained} there and "
+            f"{begins} {when}: bodies {listed(self.bodies)} gain {gained} there and "
             f"may go over to another branch"
         )
 

@@ -27,6 +27,7 @@ TOPICS = (
     "faults",
     "verdicts",
     "statuses",
+    "notes",
     "accuracy",
     "own_run_causes",
     "errors",

@@ -18,6 +18,7 @@ from crosscheck.compare.activity import acted
 from crosscheck.compare.allowed_motions import admissible_basis, body_units
 from crosscheck.compare.check import FILE, Check, not_compared, unconverged_reason
 from crosscheck.compare.coverage import Coverage
+from crosscheck.compare.note import Note
 from crosscheck.compare.outcome import Verdict
 from crosscheck.compare.reference_values import ReferenceCheck
 from crosscheck.compare.result import EngineComparison
@@ -71,7 +72,7 @@ IMPLICIT = ("Radau", "implicitfast")
 def report(result: EngineComparison) -> Report:
     """Make the report of a comparison: a full one, and a summary that the terminal shows."""
     limits, other_notes = list(verdict_limits(result)), list(notes(result))
-    advice = [f"advice, {advice}" for advice in result.advice]
+    advice = [f"{Note.ADVICE}, {advice}" for advice in result.advice]
     parts: list[Part] = [*judged_runs(result), *tables(result), _participation_table(result)]
     parts.append(Lines("", [*limits, *other_notes, *advice]))
     parts.append(name_value_table("settings and run times", dict(_settings(result))))
@@ -263,7 +264,7 @@ def verdict_limits(result: EngineComparison) -> Iterator[str]:
     if result.singular:
         yield str(result.singular)
     if result.mapping:
-        yield from (f"finding, {finding}" for finding in result.mapping.findings)
+        yield from (f"{Note.FINDING}, {finding}" for finding in result.mapping.findings)
         yield from moved_start_lines(result.mapping, result.scene)
         yield from _reduction_lines(result.mapping)
 
@@ -273,17 +274,17 @@ def _reduction_lines(mapping: ImportReport) -> Iterator[str]:
     acting = mapping.acting
     # `how`: reason why the element is left out; `seen`: observation in the run
     for entry in acting[:MAX_ACTING_LINES]:
-        yield f"active, and left out: {entry.element}: {'; '.join(filter(None, [entry.seen, entry.how]))}"
+        yield f"{Note.ACTIVE}: {entry.element}: {'; '.join(filter(None, [entry.seen, entry.how]))}"
     if more := [acted(entry) for entry in acting[MAX_ACTING_LINES:]]:
-        yield f"active, and left out, too: {_name_list(more)}"
+        yield f"{Note.ACTIVE}, too: {_name_list(more)}"
     # Excitation: start velocities and sines for actuators, which the reader adds to a file at rest
     if acting and acting[0].since and mapping.excitation:
         yield (
-            f"the excitation may be the cause of what acts from {acting[0].since:.4g} s on; "
+            f"{Note.EXCITATION_ACTS} of what acts from {acting[0].since:.4g} s on; "
             "--set excitation=off runs the file without it"
         )
     if unknown := [entry for entry in mapping.entries if not entry.examined]:
-        yield "not examined whether they act: " + "; ".join(f"{e.element}: {e.how}" for e in unknown)
+        yield f"{Note.NOT_EXAMINED}: {'; '.join(f'{e.element}: {e.how}' for e in unknown)}"
 
 
 def moved_start_lines(mapping: ImportReport, scene: Scene) -> Iterator[str]:
@@ -296,13 +297,13 @@ def moved_start_lines(mapping: ImportReport, scene: Scene) -> Iterator[str]:
     changed = mapping.changed_velocities
     if changed and are_velocities_changed(mapping):
         yield (
-            f"the start is not the file's: velocities of {changed.start} do not fit the constraints; they "
+            f"{Note.START_MOVED}: velocities of {changed.start} do not fit the constraints; they "
             f"are changed by up to {changed.linear:.3g} m/s and {changed.angular:.3g} rad/s"
         )
     moved = mapping.moved
     if moved and are_loops_closed(mapping, scene):
         yield (
-            f"the start is not the file's: {moved.loop} is open by {moved.open:.3g} m or rad in the file; "
+            f"{Note.START_MOVED}: {moved.loop} is open by {moved.open:.3g} m or rad in the file; "
             f"closing the loops moved body {moved.body!r} by {moved.displacement:.3g} m and joint "
             f"{moved.joint!r} by {moved.joint_motion:.3g} m or rad"
         )
@@ -318,22 +319,22 @@ def notes(result: EngineComparison) -> Iterator[str]:
     impossible = [body.name for body in scene.mechanism.bodies if body.allow_unrealisable_inertia]
     if impossible and not result.mapping:
         broken = "two principal moments together less than the third"
-        yield f"inertia that no mass has, {broken}: {', '.join(impossible)}"
+        yield f"{Note.IMPOSSIBLE_INERTIA}, {broken}: {', '.join(impossible)}"
 
     # what was not compared or tested
     if result.by_runs_only and result.trajectories:
-        yield f"compared by runs only, not by equations of motion: {', '.join(result.by_runs_only)}"
+        yield f"{Note.BY_RUNS_ONLY}, not by equations of motion: {', '.join(result.by_runs_only)}"
     yield from not_compared(result.checks)
     untested = result.coverage.untested if result.coverage else ()
-    for why, shared in ((SAME_CODE, True), ("by the motion, 10 % more would not show", False)):
+    for note, shared in ((Note.UNTESTED_CODE, True), (f"{Note.UNTESTED}, 10 % more would not show", False)):
         if names := [covered.element for covered in untested if covered.shared == shared]:
             listed = f", {ALL_LISTED}" if len(names) > MAX_NAMES else ""
-            yield f"untested {why}: {_name_list(names)}{listed}"
+            yield f"{note}: {_name_list(names)}{listed}"
 
     # the model file, and the start
     mapping = result.mapping
     if mapping:
-        yield f"the file: {fates_line(mapping)}"  # numbers of elements imported exactly, left out ...
+        yield f"{Note.FILE}: {fates_line(mapping)}"  # numbers of elements imported exactly, left out ...
         # lines about the initial state, the one about the excitation first
         yield from sorted(mapping.start, key=partial(ne, mapping.excitation))
     yield from undetermined_lines(scene)
@@ -346,7 +347,8 @@ def notes(result: EngineComparison) -> Iterator[str]:
         rate, steps = fastest_decay(scene), explicit_steps(scene)
         fixed = f", RK4 steps of {RK4_LIMIT / rate:.2g} s" if has_fixed_steps and rate else ""
         needed = f"DOP853 would need {steps:.0f} steps{fixed}"
-        yield f"stiff: fastest decay {rate:.2g} 1/s at the start; {needed}; implicit: {', '.join(implicit)}"
+        names = ", ".join(implicit)
+        yield f"{Note.STIFF}: fastest decay {rate:.2g} 1/s at the start; {needed}; implicit: {names}"
 
     if mapping and result.trajectories:
         yield _start_line(result)
@@ -361,16 +363,16 @@ def redundancy_lines(scene: Scene) -> Iterator[str]:
             option = "redundancy_tolerance=0 takes it literally"
         else:
             option = f"redundancy_tolerance={2.0 * constraint.singular_value:.0e} takes it as redundant"
-        yield f"nearly redundant, {constraint}; {option}"
+        yield f"{Note.NEARLY_REDUNDANT}, {constraint}; {option}"
     if analysis.nearly and analysis.degrees_of_freedom == 0:
-        yield "the mechanism has no degree of freedom"
+        yield f"{Note.NO_FREEDOM}: the constraints hold the mechanism in place"
 
 
 def undetermined_lines(scene: Scene) -> Iterator[str]:
     """Yield a sentence on joints whose reactions are not unique at the start, if there are any."""
     count, joints = undetermined_joints(scene, initial_state(scene))
     if count:
-        yield f"reactions not unique: {redundancy_text(count, _name_list(joints))}"
+        yield f"{Note.NOT_UNIQUE}: {redundancy_text(count, _name_list(joints))}"
 
 
 def _inactive_lines(mapping: ImportReport) -> Iterator[str]:
@@ -378,7 +380,7 @@ def _inactive_lines(mapping: ImportReport) -> Iterator[str]:
     entries = [mapping.entries[number] for number in mapping.watches]  # those that a run can judge
     idle = [f"{entry.element}: {entry.account}" for entry in entries if entry.fate == "inactive"]
     if idle:
-        yield f"inactive in this run, {len(idle)} of {len(entries)} watched: {'; '.join(idle)}"
+        yield f"{Note.INACTIVE}, {len(idle)} of {len(entries)} watched: {'; '.join(idle)}"
 
 
 def _start_line(result: EngineComparison) -> str:
@@ -392,7 +394,7 @@ def _start_line(result: EngineComparison) -> str:
         if run.constraint_violation is not None
     )
     same = f"same pose to {apart:.1e} (m, rad); " if len(runs) > 1 else ""
-    return f"start: {same}largest residual of joints (m, rad): {residuals}"
+    return f"{Note.START}: {same}largest residual of joints (m, rad): {residuals}"
 
 
 def _rest_line(result: EngineComparison) -> str:
@@ -404,7 +406,7 @@ def _rest_line(result: EngineComparison) -> str:
     q, _ = system.coordinates(initial_state(result.scene))
     basis, _ = admissible_basis(system, q, body_units(result.scene))
     why = "it starts at rest in equilibrium" if basis.shape[1] else "the mechanism has no freedom"
-    return f"nothing moves, as {why}; runs test nothing; largest displacement (m, rad): {moved}"
+    return f"{Note.NOTHING_MOVES}, as {why}; runs test nothing; largest displacement (m, rad): {moved}"
 
 
 def _name_list(names: Sequence[str]) -> str:

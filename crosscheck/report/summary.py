@@ -17,6 +17,7 @@ from crosscheck.compare.check import (
     REFERENCE,
     Check,
 )
+from crosscheck.compare.note import Note
 from crosscheck.compare.result import EngineComparison
 from crosscheck.own_run.allowed import OWN_RUN
 from crosscheck.report.log import log_lines
@@ -52,7 +53,7 @@ def summary(result: EngineComparison, limits: Sequence[str], notes: Sequence[str
     if lines:
         parts.append(Lines("", lines))
     if result.advice:
-        parts.append(Lines("", [f"advice, {advice}" for advice in result.advice]))
+        parts.append(Lines("", [f"{Note.ADVICE}, {advice}" for advice in result.advice]))
     return parts
 
 

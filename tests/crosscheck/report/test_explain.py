@@ -9,8 +9,10 @@ import pytest
 from command_line import run
 
 from crosscheck.compare.check import LEVELS, READING, REFERENCE
+from crosscheck.compare.crosscheck import crosscheck
 from crosscheck.compare.diagnosis import FAULTS
 from crosscheck.compare.levels import compare, reading_checks
+from crosscheck.compare.note import Note
 from crosscheck.compare.outcome import ExitStatus, Outcome
 from crosscheck.differences.difference import Quantity, Standing
 from crosscheck.engines.registry import ENGINES
@@ -19,6 +21,7 @@ from crosscheck.loading.load import load_scene
 from crosscheck.own_run.allowed import ErrorKind
 from crosscheck.own_run.errors import Band
 from crosscheck.report.explain import TOPICS, explain, explanation_markdown, read_topic
+from crosscheck.report.run import notes, verdict_limits
 from crosscheck.studies.conformance.check import Result
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.reading.file_run import CauseName
@@ -32,6 +35,7 @@ KINDS = {
     "faults": set(FAULTS),
     "verdicts": {each.value for each in Outcome},
     "statuses": {f"exit status {each}" for each in ExitStatus},
+    "notes": {each.value for each in Note},
     "accuracy": {each.value for each in Band},
     "own_run_causes": {each.value for each in CauseName},
     "errors": {each.value for each in ErrorKind},
@@ -88,6 +92,22 @@ def test_each_check_has_an_explanation_and_each_explained_check_exists(tmp_path)
     # a name of `reading_checks` is that of a check of this level
     of_reading = {each.name for c in checks if c.level == READING for _, each in explain(c.quantity)}
     assert of_reading >= set(names("reading_checks"))
+
+
+def test_each_note_begins_with_words_that_are_explained(tmp_path):
+    path = tmp_path / "everything.xml"
+    path.write_text(EVERYTHING)
+    scene, report = load_scene(str(path), {"duration": "0.02"}, verified=False)
+    assert report is not None
+    engines = list(ENGINES.values())[:1]
+    # without the run of the file in its own engine, which has other lines
+    found = crosscheck(scene, engines, lambda _: None, str(path), {}, report.unverified())
+    assert found.mapping is not None
+    lines = [*verdict_limits(found), *notes(found)]
+    begin = {note for line in lines for note in Note if line.startswith(note)}
+    assert {Note.INACTIVE, Note.FILE, Note.NOT_UNIQUE, Note.START} <= begin
+    unknown = [line for line in lines if not line.startswith((*Note, *found.mapping.start))]
+    assert unknown == []
 
 
 @pytest.mark.parametrize("topic", TOPICS)
