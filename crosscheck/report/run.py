@@ -347,8 +347,8 @@ def notes(result: EngineComparison) -> Iterator[str]:
         rate, steps = fastest_decay(scene), explicit_steps(scene)
         fixed = f", RK4 steps of {RK4_LIMIT / rate:.2g} s" if has_fixed_steps and rate else ""
         needed = f"DOP853 would need {steps:.0f} steps{fixed}"
-        names = ", ".join(implicit)
-        yield f"{Note.STIFF}: fastest decay {rate:.2g} 1/s at the start; {needed}; implicit: {names}"
+        solved = f"implicit: {', '.join(implicit)}"
+        yield f"{Note.STIFF}: fastest decay {rate:.2g} 1/s at the start; {needed}; {solved}"
 
     if mapping and result.trajectories:
         yield _start_line(result)

@@ -54,7 +54,7 @@ MISTAKES = {
         "newton_euler/equations/test_formulations.py",
     ),
     "an own error that excuses anything": (
-        "crosscheck/compare/runs.py",
+        "crosscheck/compare/run_checks.py",
         "min(ERROR_PER_CHANGE * change, MAX_RELATIVE_ERROR * unit)",
         "ERROR_PER_CHANGE * change",
         "crosscheck/compare/test_unconverged.py",
