@@ -1,12 +1,14 @@
-"""Tables of `docs/results/engines.md`: which engine can express what, faults, and the library in all engines.
+"""Tables of `docs/results/engines.md`: which engine can express what, errors, run times and faults.
 
-    python tests/support/engine_tables.py expressed
-    python tests/support/engine_tables.py library FOLDER
-    python tests/support/engine_tables.py faults FOLDER
+    python tests/support/engine_tables.py TABLE [FOLDER]
 
-write one of the tables into the page. The first table needs no runs: it comes from `Engine.limits`, for the
-elements of `elements.py` and the library. For the second one, FOLDER has the results of `crosscheck run --all
---engines all`. For the third one, FOLDER/NAME has those of `crosscheck faults four_bar --engines NAME`.
+writes one of the tables into the page:
+
+    expressed   needs no runs: it comes from `Engine.limits`, for `elements.py` and the library
+    library     FOLDER has the results of `crosscheck run --all --engines all`
+    references  FOLDER is that of `library`
+    times       FOLDER/SCENE has the results of `crosscheck bench SCENE --engines all`
+    faults      FOLDER/NAME has the results of `crosscheck faults four_bar --engines NAME`
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import re
 import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from elements import COUPLED, ELEMENTS
@@ -28,6 +31,9 @@ from crosscheck.report.table import Column, Rows, Table, number_columns, text_co
 from crosscheck.studies.faults.find import SMALLEST_REQUIRED
 from crosscheck.support.units import SECONDS_AND_MS, quantity_text
 from newton_euler.model.scene import Scene
+
+ERRORS = (1e-3, 1e-5, 1e-7, 1e-9)
+"""Errors, m and rad, of the rows of the table of run times."""
 
 PAGE = Path(__file__).parents[2] / "docs" / "results" / "engines.md"
 
@@ -78,6 +84,54 @@ def _measured(found: Mapping[str, Any], engine: Engine) -> str:
     return error + quantity_text(run["wall_time"], SECONDS_AND_MS)
 
 
+def references(folder: Path, engines: Iterable[Engine]) -> list[str]:
+    """Lines of the table of scenes with reference values: the largest error of each engine.
+
+    An error is relative to the largest reference value of its quantity.
+    """
+    engines = list(engines)
+    rows: Rows = []
+    for name in SCENES:
+        found = json.loads((folder / name / "summary.json").read_text())["known_values"]
+        if not found:
+            continue
+        scale: dict[str, float] = {}
+        for value in found:
+            scale[value["quantity"]] = max(scale.get(value["quantity"], 0.0), abs(value["reference"]))
+        errors = [
+            [each["difference"] / scale[each["quantity"]] for each in found if each["engine"] == engine.name]
+            for engine in engines
+        ]
+        count = max(len(each) for each in errors)
+        rows.append([name, str(count), *(f"{max(each):.0e}" if each else "" for each in errors)])
+    columns: list[Column] = [*text_columns("scene"), *number_columns("values")]
+    columns += number_columns(*(engine.label or engine.name for engine in engines))
+    return list(markdown_table(Table("", columns, rows)))
+
+
+def times(folder: Path, engines: Iterable[Engine]) -> list[str]:
+    """Lines of the table of run times, ms: the fastest setting of each engine whose error is small enough."""
+    engines = list(engines)
+    rows: Rows = []
+    for path in sorted(folder.glob("*/bench.json")):
+        found = json.loads(path.read_text())
+        uncertainty = found["reference"]["uncertainty"]
+        for error in ERRORS:
+            row = [found["scene"], f"{error:.0e}"]
+            for engine in engines:
+                accurate = [
+                    1e3 * median(each["times"])
+                    for each in found["measurements"]
+                    if each["engine"] == engine.name
+                    and max(each["error_position"], each["error_angle"], uncertainty) <= error
+                ]
+                row.append(f"{min(accurate):.3g}" if accurate else "-")
+            rows.append([*row])
+    columns: list[Column] = [*text_columns("scene"), *number_columns("error")]
+    columns += number_columns(*(engine.label or engine.name for engine in engines))
+    return list(markdown_table(Table("", columns, rows)))
+
+
 def faults(folder: Path, engines: Iterable[Engine]) -> list[str]:
     """Lines of the table of faults that are injected into one engine: how many are detected and located."""
     rows: Rows = []
@@ -107,9 +161,18 @@ def replaced(page: str, name: str, lines: Iterable[str]) -> str:
     return re.sub(f"{re.escape(start)}.*?{re.escape(end)}", lambda _: text, page, flags=re.DOTALL)
 
 
+TABLES = {
+    "expressed": expressed,
+    "library": library,
+    "references": references,
+    "times": times,
+    "faults": faults,
+}
+
+
 def main(table: str, *folder: str) -> None:
     """Write one of the tables into the page."""
-    lines = {"expressed": expressed, "library": library, "faults": faults}[table]
+    lines = TABLES[table]
     PAGE.write_text(replaced(PAGE.read_text(), table, lines(*map(Path, folder), choose(["all"]))))
 
 
