@@ -135,6 +135,12 @@ def test_formulas_are_closed(page):
         assert FENCE.sub("", (ROOT / page).read_text()).count("$") % 2 == 0
 
 
+@pytest.mark.parametrize("page", PAGES)
+def test_tags_in_pages_are_code(page):
+    """A backslash before a tag is shown, and the tag disappears: it becomes an element of the HTML page."""
+    assert re.findall(r"\\<.{0,30}", FENCE.sub("", (ROOT / page).read_text())) == []
+
+
 @pytest.mark.parametrize("term", TERMS)
 def test_terms_of_the_field_occur_in_pages(term):
     """The search of the site finds words of pages only."""

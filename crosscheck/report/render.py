@@ -50,8 +50,14 @@ MAX_UNWRAPPED_HEADING = 12
 STYLES = {"": "", "holds": "green", "improved": "bold green", "doubtful": "yellow", "fails": "bold red"}
 """Terminal style of a cell or a sentence by its verdict; "improved" is a cost or error below the baseline."""
 
-MARKDOWN_SYNTAX = re.compile(r"[\\`*\[\]<|]|(?<!\w)_|_(?!\w)")
-"""Characters that are syntax in Markdown; underscores within a word are not."""
+MARKDOWN_SYNTAX = re.compile(
+    r"(?P<code>`[^`|\n]+`)|(?P<tag></?[A-Za-z][\w:.-]*(?: [^<>`|\n]*)?>)"
+    r"|(?P<entity><|&(?=#?\w+;))|[\\`*\[\]|]|(?<!\w)_|_(?!\w)"
+)
+"""Code, tags such as `<joint>`, and characters that are syntax in Markdown; not underscores within a word.
+
+A backslash before `<` is no escape in all dialects of Markdown, so that `<` becomes an entity.
+"""
 
 WORD_START, WORD_END = 120, 30
 """Numbers of characters that an error message shows of the beginning and of the end of a longer word."""
@@ -335,8 +341,20 @@ def _markdown_row(cells: Iterable[str | Cell], links: Mapping[str, str]) -> str:
 
 
 def _escaped(text: str) -> str:
-    """Escape a text so that Markdown shows it unchanged; line breaks become commas."""
-    return MARKDOWN_SYNTAX.sub(r"\\\g<0>", printable(text)).replace("\n", ", ")
+    """Escape a text so that Markdown shows it unchanged; line breaks become commas, and tags become code."""
+
+    def escape(found: re.Match[str]) -> str:
+        match found.lastgroup:
+            case "code":
+                return found[0]
+            case "tag":
+                return f"`{found[0]}`"
+            case "entity":
+                return "&lt;" if found[0] == "<" else "&amp;"
+            case _:
+                return f"\\{found[0]}"
+
+    return MARKDOWN_SYNTAX.sub(escape, printable(text)).replace("\n", ", ")
 
 
 def as_json(content: Mapping[str, Any], report: Report, files: Mapping[Path, bytes] | None = None) -> bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import re
 from pathlib import Path
 from typing import NamedTuple
@@ -42,7 +43,7 @@ def page_table(page: str, *heads: str) -> PageTable:
 
 def cells(row: str) -> list[str]:
     """Split a row of a Markdown table into its cells."""
-    return [cell.strip().replace("`", "").replace("\\", "") for cell in row.split("|")]
+    return [html.unescape(cell.strip().replace("`", "").replace("\\", "")) for cell in row.split("|")]
 
 
 def numbers(text: str) -> list[float]:

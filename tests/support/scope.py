@@ -18,6 +18,8 @@ import yaml
 
 import mjcf
 import urdf
+from crosscheck.report.render import markdown_table
+from crosscheck.report.table import Cell, Table, text_columns
 from newton_euler.errors import NewtonEulerError
 
 PAGE = Path(__file__).parents[2] / "docs" / "how_to" / "scope.md"
@@ -76,7 +78,7 @@ def table(name: str) -> str:
         path.write_text(text.format(**places | probe.places))
         return {str(entry): entry for entry in read(path, **probe.options).report.entries}
 
-    def rows() -> Iterator[str]:
+    def rows() -> Iterator[list[str | Cell]]:
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
             without = entries(Probe("", {}), folder)
@@ -84,20 +86,21 @@ def table(name: str) -> str:
                 try:
                     found = entries(probe, folder)
                 except NewtonEulerError as error:
-                    yield row(probe.element, "refused", str(error).replace(f"{folder}/", ""))
+                    yield [probe.element, "refused", shown(str(error).replace(f"{folder}/", ""))]
                     continue
                 new = [entry for key, entry in found.items() if key not in without]
                 # frames that tell nothing about the element, unless there is nothing else
                 told = [entry for entry in new if not re.match("part of|its known parts", entry.how)] or new
-                yield row(probe.element, fate(new), "; ".join(dict.fromkeys(entry.how for entry in told)))
+                yield [probe.element, fate(new), shown("; ".join(dict.fromkeys(entry.how for entry in told)))]
 
-    return "\n".join(["| element | result | the reader reports |", "|---|---|---|", *rows()]) + "\n"
+    columns = text_columns("element", "result", "the reader reports")
+    return "\n".join(markdown_table(Table("", columns, [*rows()]))) + "\n"
 
 
-def fate(entries: list[Any]) -> str:
+def fate(entries: list[Any]) -> str | Cell:
     """Return the worst result of some entries."""
     if any(entry.is_unsimulated for entry in entries):
-        return "**not simulated**"
+        return Cell("not simulated", "fails")
     if any(entry.fate == "approximated" for entry in entries):
         return "approximated"
     if any(entry.fate == "exactly" for entry in entries):
@@ -105,10 +108,9 @@ def fate(entries: list[Any]) -> str:
     return "moves nothing"
 
 
-def row(element: str, result: str, how: str) -> str:
-    """Return a row of a table."""
-    shown = re.sub(r"\s+", " ", how).replace("|", "\\|").replace("<", "\\<")
-    return f"| {element} | {result} | {shown} |"
+def shown(how: str) -> str:
+    """Return what a reader reports in one line."""
+    return re.sub(r"\s+", " ", how)
 
 
 def with_tables(page: str) -> str:

@@ -124,7 +124,7 @@ def test_markdown():
         "|---|---:|",
         "| **model** | |",
         "| mass | **1.0e-03 > 1e-06** |",
-        "| points | 1.0e-09 \\< 1e-06 |",
+        "| points | 1.0e-09 &lt; 1e-06 |",
         "| **energy** | |",
         "",
         "## notes",
@@ -133,6 +133,24 @@ def test_markdown():
         "- second",
     ]
     assert markdown(REPORT, folded=True).endswith("## versions\n\n- numpy 2\n")
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("1 < 2 <= 3", "1 < 2 <= 3"),
+        ("without <plugin> 'lib.so' of gazebo", "without <plugin> 'lib.so' of gazebo"),
+        ("<flag gravity='off'/> and </joint>", "<flag gravity='off'/> and </joint>"),
+        ("run `crosscheck explain` | a_b [x] *y* _z_", "run crosscheck explain | a_b [x] *y* _z_"),
+        ("a &lt; b \\ `c", "a &lt; b \\ `c"),
+    ],
+)
+def test_markdown_shows_texts_unchanged_in_html(text, shown):
+    markdown_package = pytest.importorskip("markdown")
+    (*_, row) = markdown_table(Table("", [*text_columns("first", "second")], [["1", text]]))
+    page = markdown_package.markdown(f"| a | b |\n|---|---|\n{row}\n", extensions=["tables"])
+    cells = ElementTree.fromstring(page).iter("td")
+    assert ["".join(cell.itertext()) for cell in cells] == ["1", shown]
 
 
 def test_json_holds_data_report_and_files():
