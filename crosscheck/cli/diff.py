@@ -80,18 +80,18 @@ def diff_command(
     from crosscheck.differences.alignment import NamesError
 
     try:
-        return compare_and_show((first, second), options, output, _pairs(names), tolerance, geometry)
+        return _compare_and_show((first, second), options, output, _pairs(names), tolerance, geometry)
     except NamesError as error:
         raise CrosscheckError(f"{names}: {str(error).removeprefix('names: ')}") from error
 
 
-def compare_and_show(
+def _compare_and_show(
     models: tuple[str, str],
     options: tuple[Mapping[str, str], Mapping[str, str]],
     output: Path | None,
-    names: Mapping[str, str] = {},
-    tolerance: float | None = None,
-    geometry: bool = False,
+    names: Mapping[str, str],
+    tolerance: float | None,
+    geometry: bool,
 ) -> int:
     """Compare two model files, write and print the results, and return the exit status.
 

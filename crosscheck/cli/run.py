@@ -49,7 +49,6 @@ OUTPUT = Path("output")
         "Conditions for the exit status": ["--max-error", "--allow-reduced"],
         "Logs of another simulator": ["--log", "--log-set", "--log-map"],
         "Results": ["--output", "--save"],
-        "Replaced by crosscheck diff": ["--against", "--against-set"],
     },
     examples={
         "compare the engines on a model file": "crosscheck run robot.xml",
@@ -61,18 +60,6 @@ OUTPUT = Path("output")
 @click.option("--all", "library", is_flag=True, help="Run all library scenes, with one line for each.")
 @engines_option
 @setting_options
-@click.option(
-    "--against",
-    metavar="MODEL",
-    help="Compare the files SCENE and MODEL, as `crosscheck diff` does.",
-)
-@click.option(
-    "--against-set",
-    "against_settings",
-    multiple=True,
-    metavar="OPTION=VALUE",
-    help="Option of the file MODEL. Repeatable.",
-)
 @click.option(
     "--output",
     type=click.Path(path_type=Path),
@@ -137,8 +124,6 @@ def run_command(**options: Any) -> int:
     asked.check()
     if asked.library:
         return _run_library(asked.engines, asked.output)
-    if asked.against is not None:
-        return _diff(asked, asked.against)
     return _run(asked)
 
 
@@ -150,8 +135,6 @@ class _Options:
     library: bool
     engines: list[str] | None
     settings: tuple[str, ...]
-    against: str | None
-    against_settings: tuple[str, ...]
     advice: bool
     logs: tuple[Path, ...]
     log_settings: tuple[str, ...]
@@ -172,25 +155,19 @@ class _Options:
         Raises:
             CrosscheckError: for an option that does not apply together with another one.
         """
-        of_one_model = {
-            "--engines": self.engines,
+        alone = {
+            "SCENE": self.scene,
+            "--set": self.settings,
             "--advice": self.advice,
             "--log": self.logs,
             "--allow-reduced": self.allow_reduced,
             "--max-error": self.max_errors,
             "--save": self.save,
         }
-        alone = {"SCENE": self.scene, "--against": self.against, "--set": self.settings}
         if self.library:
-            for name, value in {**alone, **of_one_model}.items():
-                if value and name != "--engines":
-                    raise CrosscheckError(f"--all runs all scenes at their defaults, without {name}")
-        if self.against is not None:
-            for name, value in of_one_model.items():
+            for name, value in alone.items():
                 if value:
-                    raise CrosscheckError(f"{name} is for one model, without --against")
-        if self.against_settings and self.against is None:
-            raise CrosscheckError("--against-set is for the model of --against")
+                    raise CrosscheckError(f"--all runs all scenes at their defaults, without {name}")
         if (self.log_settings or self.log_columns) and not self.logs:
             raise CrosscheckError("--log-set and --log-map are statements on the columns of --log")
         if self.save is not None and self.save.suffix != ".rrd":
@@ -219,18 +196,6 @@ def _run_library(engines: list[str] | None, output: Path | None) -> int:
         say(line)
     # a scene is left out if an optional package that it needs is not installed
     return AGREE if all(outcome.agrees or outcome.left_out for outcome in outcomes) else DISAGREE
-
-
-def _diff(asked: _Options, other: str) -> int:
-    """Compare two model files as `crosscheck diff` does, and return its exit status."""
-    from crosscheck.cli.diff import compare_and_show
-
-    settings = [word for text in asked.settings for word in ("--set-first", text)]
-    settings += [word for text in asked.against_settings for word in ("--set-second", text)]
-    options = scene_options(asked.settings), scene_options(asked.against_settings, "--against-set")
-    status = compare_and_show((asked.model, other), options, asked.output)
-    say(f"run --against goes with the next release; use {next_step('diff', asked.model, other, *settings)}")
-    return status
 
 
 def _run(asked: _Options) -> int:

@@ -34,7 +34,7 @@ from crosscheck.support.errors import CrosscheckError
     groups={
         "Place and time": ["--latitude", "--longitude", "--altitude", "--date", "--zone", "--period"],
         "Tracker": ["--set", "--axis", "--base", "--speed", "--acceleration"],
-        "Tracking": ["--most-tilt", "--deadband", "--pitch", "--clearance", "--to-singular"],
+        "Tracking": ["--max-tilt", "--deadband", "--pitch", "--clearance", "--to-singular"],
         "Wind": ["--wind", "--wind-from", "--wind-up", "--stow"],
         "Results": ["--reach", "--output"],
     },
@@ -115,7 +115,7 @@ def sun_command(
     dates: tuple[str, ...],
     zone: str | None,
     period: float,
-    most_tilt: float | None,
+    max_tilt: float | None,
     stow: float | None,
     wind: str | None,
     wind_from: float | None,
@@ -153,7 +153,7 @@ def sun_command(
     longitude, altitude = numbers.pop("longitude"), numbers.pop("altitude")
     tracking = Tracking(
         stow=float("inf") if stow is None else stow,  # without --stow, no wind is too fast
-        most_tilt=largest_tilt(source, most_tilt),
+        max_tilt=largest_tilt(source, max_tilt),
         **numbers,  # the other options are rules of tracking
     )
     check_period(period)

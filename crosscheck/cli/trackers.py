@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from newton_euler.model.scene import Scene
 
 LIBRARY_TILT, ANY_TILT = 30.0, 90.0
-"""Default of `--most-tilt`, degrees, for the tracker of the library and for other scenes."""
+"""Default of `--max-tilt`, degrees, for the tracker of the library and for other scenes."""
 
 
 def tracker_options(command: Callable[..., int]) -> Callable[..., int]:
@@ -28,7 +28,7 @@ def tracker_options(command: Callable[..., int]) -> Callable[..., int]:
             "[default: panel_7=0,0,1 if there is this body]",
         ),
         click.option(
-            "--most-tilt",
+            "--max-tilt",
             type=float,
             help="Largest tilt from the horizontal, degrees.  [default: 30 for the library's tracker, or 90]",
         ),

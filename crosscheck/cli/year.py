@@ -34,7 +34,7 @@ from crosscheck.support.errors import CrosscheckError
         "Weather and place": ["--weather", "--latitude", "--longitude", "--altitude", "--year", "--zone"],
         "Tracker": ["--set", "--axis", "--base", "--stroke"],
         "Tracking": [
-            "--most-tilt",
+            "--max-tilt",
             "--deadband",
             "--pitch",
             "--clearance",
@@ -101,7 +101,7 @@ def year_command(
     altitude: float | None,
     year: int | None,
     zone: str | None,
-    most_tilt: float | None,
+    max_tilt: float | None,
     strokes: tuple[str, ...],
     base: str | None,
     area: float | None,
@@ -129,7 +129,7 @@ def year_command(
     # the rules of tracking
     options = tracker_settings(settings, why="poses are at rest")
     # the other options are rules of tracking
-    tracking = Tracking(most_tilt=largest_tilt(source, most_tilt), **numbers)
+    tracking = Tracking(max_tilt=largest_tilt(source, max_tilt), **numbers)
     orientation = None if base is None else base_of(base)
     ends = dict(map(stroke_of, strokes))
     # the module

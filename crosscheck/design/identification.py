@@ -48,7 +48,7 @@ def report(found: Identification) -> Report:
     parts: list[Part] = [Table("", names, [list(row) for row in rows]), _columns(found)]
     if lines := [*found.doubts, *found.notes, *_correlated(found)]:
         parts.append(Lines("", lines))
-    # `fit`: line of text with the reduced chi and its probability
+    # `fit`: line of text with the reduced chi-squared and its p-value
     misfits = [Measure(name, value, f"{value:.3g}", mark=1.0) for name, value in found.misfits.items()]
     caption = "RMS of the residuals of each measured column, divided by its noise; the mark is at 1"
     return Report(

@@ -164,12 +164,12 @@ def _ranges(found: WorkspaceMap) -> Table:
     total = space.reachable.size
     rows: Rows = [["points", *(f"{int(np.sum(which))} of {total}" for which in chosen.values())]]
 
-    def add(name: str, values: Array, digits: int, least_only: bool = False) -> None:
+    def add(name: str, values: Array, digits: int, minimum_only: bool = False) -> None:
         """Add a row with the range of values (n,), or with the smallest ones."""
         row: list[str | Cell] = [name]
         for which in chosen.values():
             part = values[which]
-            ends = [np.min(part), np.max(part)][: 1 if least_only else 2] if len(part) else []
+            ends = [np.min(part), np.max(part)][: 1 if minimum_only else 2] if len(part) else []
             row.append(" .. ".join(_fixed(end, digits) for end in ends) or "-")
         rows.append(row)
 
@@ -182,10 +182,10 @@ def _ranges(found: WorkspaceMap) -> Table:
         if angles is not None:
             add(name, np.degrees(angles[space.reachable]), digits=1)
     if found.conditioning is not None:
-        add("least conditioning", found.conditioning, digits=3, least_only=True)
-    add("least distance from singular", space.driving[space.reachable], digits=3, least_only=True)
+        add("minimum conditioning", found.conditioning, digits=3, minimum_only=True)
+    add("minimum distance from singular", space.driving[space.reachable], digits=3, minimum_only=True)
     if found.has_shapes:
-        add("least clearance, mm", 1e3 * found.clearance, digits=1, least_only=True)
+        add("minimum clearance, mm", 1e3 * found.clearance, digits=1, minimum_only=True)
     return Table("", [Column("quantity"), *number_columns(*chosen)], rows)
 
 
@@ -204,8 +204,8 @@ def _extreme_rows(found: WorkspaceMap) -> list[tuple[str, int]]:
         allowed = np.arange(len(found.place))
     rows = []
     for name, values in zip(found.move_names, found.place[allowed].T, strict=True):
-        rows.append((f"smallest {name}", int(allowed[np.argmin(values)])))
-        rows.append((f"largest {name}", int(allowed[np.argmax(values)])))
+        rows.append((f"minimum {name}", int(allowed[np.argmin(values)])))
+        rows.append((f"maximum {name}", int(allowed[np.argmax(values)])))
     return rows
 
 
@@ -251,7 +251,7 @@ def _data(found: WorkspaceMap) -> dict[str, Any]:
     """Return the results for the JSON file; the CSV has the single poses."""
     space = found.space
     quantities = {
-        name: {"least": float(np.min(values)), "most": float(np.max(values))}
+        name: {"min": float(np.min(values)), "max": float(np.max(values))}
         for name, values in _columns(found).items()
         if len(values)
     }

@@ -90,7 +90,7 @@ def tracker_wind(
     seed: Annotated[int, range(1000), OnlyWith("wind", "turbulent")] = 1,
     vertical: Annotated[float, Between(-20.0, 20.0, "m/s"), OnlyWith("wind", "steady")] = 0.0,
     pose: Literal["moving", "tilted", "stow", "worst"] = "moving",
-    most_tilt: Annotated[float, Between(0.0, 30.0, "deg"), OnlyWith("pose", "worst")] = 30.0,
+    max_tilt: Annotated[float, Between(0.0, 30.0, "deg"), OnlyWith("pose", "worst")] = 30.0,
     panel_width: Side = WIDTH,
     panel_height: Side = HEIGHT,
     panel_mass: Mass = MASS,
@@ -105,7 +105,7 @@ def tracker_wind(
         vertical: upward component of a steady wind, m/s, such as the vertical gust that loads a flat panel.
         pose: both sliders move up and down; hold the panel as tilted in the paper's initial pose; hold it
             flat; or hold it in the pose in which an actuator has the largest force in this wind at rest.
-        most_tilt: largest tilt of the panel from the horizontal among which the worst pose is searched,
+        max_tilt: largest tilt of the panel from the horizontal among which the worst pose is searched,
             degrees.
         panel_width, panel_height: sides of the panel, m, along the first and the second axis of its frame.
         panel_mass: mass of the panel, kg.
@@ -126,7 +126,7 @@ def tracker_wind(
     description = "dual-axis solar tracker, stiff PD control along a motion, under gravity and wind"
     scene = replace(scene, name="tracker_wind", description=description)
     if pose != "moving":
-        return _held(replace(scene, forces=(load,)), pose, most_tilt)
+        return _held(replace(scene, forces=(load,)), pose, max_tilt)
     feedforward = FEEDFORWARD if panel_mass == MASS else _weight_forces(scene)
     control = tuple(
         PD(
@@ -148,8 +148,8 @@ def _weight_forces(scene: Scene) -> tuple[float, ...]:
     return tuple(statics(scene).actuator_force.tolist())
 
 
-def _held(scene: Scene, pose: str, most_tilt: float) -> Scene:
-    """Return the tracker at rest, held by PD laws in a pose; `pose` and `most_tilt` as of `tracker_wind`.
+def _held(scene: Scene, pose: str, max_tilt: float) -> Scene:
+    """Return the tracker at rest, held by PD laws in a pose; `pose` and `max_tilt` as of `tracker_wind`.
 
     The laws feed forward the forces of equilibrium with the weight and the wind at time 0, so that the run
     starts without a transient.
@@ -162,7 +162,7 @@ def _held(scene: Scene, pose: str, most_tilt: float) -> Scene:
     if pose != "tilted":
         keys, row = [law.key for law in scene.control], 0
         normal = Axis("panel_7", np.array([0.0, 0.0, 1.0]))
-        towards = np.array([UPWARD]) if pose == "stow" else tilted_directions(most_tilt)
+        towards = np.array([UPWARD]) if pose == "stow" else tilted_directions(max_tilt)
         poses = solve_poses(scene, axis=normal, towards=towards, measure=keys)
         if pose == "worst":
             windy, _ = wind_at_peak(scene)
@@ -177,9 +177,9 @@ def _held(scene: Scene, pose: str, most_tilt: float) -> Scene:
     return replace(scene, description=description, control=control, initial_state=start)
 
 
-def tilted_directions(most_tilt: float) -> Array:
+def tilted_directions(max_tilt: float) -> Array:
     """Return directions (n, 3) of the panel's normal, east, north, up, up to a tilt in degrees; up first."""
-    tilts = np.radians(most_tilt * np.arange(1, WORST_TILTS + 1) / WORST_TILTS)
+    tilts = np.radians(max_tilt * np.arange(1, WORST_TILTS + 1) / WORST_TILTS)
     azimuths = np.radians(np.arange(WORST_AZIMUTHS) * 360.0 / WORST_AZIMUTHS)
     tilt, azimuth = (each.ravel() for each in np.meshgrid(tilts, azimuths))
     tilted = [np.sin(tilt) * np.sin(azimuth), np.sin(tilt) * np.cos(azimuth), np.cos(tilt)]

@@ -245,7 +245,7 @@ class Obstacles:
     def _largest_tilts(self, azimuths: Array) -> Array:
         """Find the tilts (k,), rad, up to which all directions with given azimuths (k,), rad, are free."""
         low = np.zeros(len(azimuths))
-        high = np.full(len(azimuths), np.radians(self._tracking.most_tilt))
+        high = np.full(len(azimuths), np.radians(self._tracking.max_tilt))
         part = np.arange(1, SECTIONS + 1) / SECTIONS
         for _ in range(DIVISIONS):
             # ends of the sections of each interval, and the number of free ones before the first blocked one

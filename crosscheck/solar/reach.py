@@ -43,7 +43,7 @@ class Reach:
         cause: (n,) `Cause` for which the face cannot have the direction of the sun, or `Cause.FREE`.
         off: (n,) rad, angle between the sun and the face in its pose; more than 0 for mechanisms with one
             degree of freedom; NaN where the face is blocked.
-        most_tilt: degrees, largest tilt of the rules of tracking.
+        max_tilt: degrees, largest tilt of the rules of tracking.
     """
 
     place: Place
@@ -51,12 +51,12 @@ class Reach:
     sun: Sun
     cause: Array
     off: Array
-    most_tilt: float
+    max_tilt: float
 
     @property
     def is_within_tilt(self) -> Array:
         """(n,) True where the tilt towards the sun is at most the largest one."""
-        return np.asarray(np.degrees(self.sun.elevation) >= 90.0 - self.most_tilt)
+        return np.asarray(np.degrees(self.sun.elevation) >= 90.0 - self.max_tilt)
 
     def name(self, cause: Cause) -> str:
         """Return the name of directions with a cause, in tables and plots."""
@@ -89,7 +89,7 @@ def reach_over_year(scene: Scene, axis: Axis, place: Place, year: int, tracking:
     assert poses.direction is not None
     off = angles(poses.direction, sun.direction)
     is_free = checks.cause == Cause.FREE
-    return Reach(place, year, sun, checks.cause, np.where(is_free, off, np.nan), tracking.most_tilt)
+    return Reach(place, year, sun, checks.cause, np.where(is_free, off, np.nan), tracking.max_tilt)
 
 
 def reach_table(reach: Reach) -> Table:
@@ -109,7 +109,7 @@ def reach_table(reach: Reach) -> Table:
     columns = [
         *text_columns("sun's direction"),
         *number_columns(
-            "hours", "% of\ndaylight", f"hours with tilt\nto {reach.most_tilt:g} deg", "off sun\ndeg"
+            "hours", "% of\ndaylight", f"hours with tilt\nto {reach.max_tilt:g} deg", "off sun\ndeg"
         ),
     ]
     return Table(f"directions of the sun over {reach.year} that the face can reach", columns, rows)
@@ -142,7 +142,7 @@ def reach_picture(reach: Reach) -> Figure:
         if which.any():
             color, label = colors[cause.text], reach.name(cause)
             ax.plot(azimuth[which], tilt[which], ".", markersize=3.0, color=color, label=label)
-    ax.axhline(reach.most_tilt, color="black", linewidth=1.0, label=f"largest tilt, {reach.most_tilt:g} deg")
+    ax.axhline(reach.max_tilt, color="black", linewidth=1.0, label=f"largest tilt, {reach.max_tilt:g} deg")
     ax.set(xlabel="azimuth of the sun, degrees from north to the east", ylabel="tilt towards the sun, deg")
     ax.set(xlim=(0.0, 360.0), ylim=(90.0, 0.0), title=f"the sun over {reach.year} at {reach.place}")
     ax.grid(alpha=0.3)

@@ -168,8 +168,8 @@ def verdict(day: Day) -> str:
         text += f", within {np.degrees(np.max(day.errors[faces])):.2f} deg"
     limited_hours = day.hours(day.sun.is_up & ~faces & ~day.stowed & ~day.faced.replaced)
     if limited_hours > 0.0:
-        most_tilt = f"{day.tracking.most_tilt:g} deg"
-        text += f"; for {limited_hours:.1f} h points as close to the sun as a tilt of {most_tilt} allows"
+        max_tilt = f"{day.tracking.max_tilt:g} deg"
+        text += f"; for {limited_hours:.1f} h points as close to the sun as a tilt of {max_tilt} allows"
     if day.wind is not None and np.isfinite(day.tracking.stow):
         flat = day.sun.is_up & day.stowed
         flat_hours = day.hours(flat)
@@ -236,7 +236,7 @@ def assumptions(day: Day) -> Iterator[str]:
     yield "sun by NREL's algorithm, refraction at 12 degrees Celsius included"
     yield (
         f"set-points every {day.period:g} s, held by PD laws with the weight fed forward; tilt at most "
-        f"{day.tracking.most_tilt:g} degrees; dead band {day.tracking.deadband:g} degrees"
+        f"{day.tracking.max_tilt:g} degrees; dead band {day.tracking.deadband:g} degrees"
     )
     yield from zeros(day)
     yield (

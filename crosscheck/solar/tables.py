@@ -64,7 +64,7 @@ def error_table(day: Day) -> Table:
             rows.append([name, f"{values.max():.4f}", f"{day.sun.times[k]:%H:%M}", f"{values.mean():.4f}"])
     columns = [
         *text_columns("cause"),
-        *number_columns("largest, deg"),
+        *number_columns("maximum, deg"),
         *text_columns("at"),
         *number_columns("mean, deg"),
     ]
@@ -80,7 +80,7 @@ def joints_table(day: Day) -> Table:
     for name, force in zip(day.loads.joint_names, reactions.T, strict=True):
         k = int(np.argmax(force))
         rows.append([name, f"{force[k]:.3f}", f"{np.min(force):.3f}", f"{day.sun.times[k]:%H:%M}"])
-    columns = [*text_columns("joint"), *number_columns("largest, N", "least, N"), Column("largest at")]
+    columns = [*text_columns("joint"), *number_columns("maximum, N", "minimum, N"), Column("maximum at")]
     return Table("forces of joints at rest, weight alone", columns, rows)
 
 

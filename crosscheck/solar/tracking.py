@@ -33,7 +33,7 @@ class Tracking:
     Attributes:
         deadband: dead band, degrees: the panel moves only if its normal differs from the wanted direction by
             more. 0 to follow each change of that direction.
-        most_tilt: largest tilt of the panel from the horizontal, degrees.
+        max_tilt: largest tilt of the panel from the horizontal, degrees.
         pitch: distance between rows of panels, in panel lengths. If the sun is low, the panel turns back so
             that no shadow falls on the next row (backtracking: Lorenzo, Narvarte, Munoz, Progress in
             Photovoltaics 19, 2011). The rule is applied in the vertical plane through the sun: for each
@@ -51,7 +51,7 @@ class Tracking:
     """
 
     deadband: float = 0.0
-    most_tilt: float = 30.0
+    max_tilt: float = 30.0
     pitch: float = np.inf
     stow: float = np.inf
     speed: float = 0.01
@@ -62,7 +62,7 @@ class Tracking:
     def __post_init__(self) -> None:
         limits = {
             "deadband": (0.0, 90.0),
-            "most_tilt": (0.0, 90.0),
+            "max_tilt": (0.0, 90.0),
             "pitch": (1.0, np.inf),
             "stow": (0.0, np.inf),
             "speed": (MIN_RATE, MAX_RATE),
@@ -110,7 +110,7 @@ class Tracking:
         Both are in the axes of the base.
         The rules of night, wind and dead band are not applied.
         """
-        tilt = np.minimum(self._without_shadow(sun.elevation), np.radians(self.most_tilt))
+        tilt = np.minimum(self._without_shadow(sun.elevation), np.radians(self.max_tilt))
         return tilted(tilt, sun.azimuth)
 
     def stows(self, wind: Array | None, count: int) -> Array:
@@ -136,7 +136,7 @@ class Tracking:
         """
         tilt = self._without_shadow(sun.elevation)
         facing = tilt == 0.5 * np.pi - sun.elevation
-        return np.asarray(sun.is_up & facing & (tilt <= np.radians(self.most_tilt)))
+        return np.asarray(sun.is_up & facing & (tilt <= np.radians(self.max_tilt)))
 
     def _without_shadow(self, elevation: Array) -> Array:
         """Compute the tilt (n,) towards the sun, rad, at which no shadow falls on the next row.

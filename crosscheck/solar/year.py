@@ -436,7 +436,7 @@ def _limits(sun: Sun, from_base: Sun, tracking: Tracking, stowed: Array, kinds: 
         kinds: (n,) limits of the mechanism.
     """
     tilt = np.degrees(np.arccos(np.clip(tracking.towards(from_base)[:, 2], -1.0, 1.0)))
-    flatter = tilt < tracking.most_tilt - 1e-9  # degrees; if not because of its limit, because of shadows
+    flatter = tilt < tracking.max_tilt - 1e-9  # degrees; if not because of its limit, because of shadows
     limits = np.full(len(stowed), Limit.NONE)
     limits[~tracking.can_face(from_base)] = Limit.TILT
     limits[~tracking.can_face(from_base) & flatter] = Limit.SHADOW

@@ -130,7 +130,7 @@ def limit_texts(year: Year) -> dict[Limit, str]:
     deadband = year.tracking.deadband
     return {
         Limit.NONE: f"none, within {deadband:g} deg" if deadband else "none, faces the sun",
-        Limit.TILT: f"largest tilt, {year.tracking.most_tilt:g} deg",
+        Limit.TILT: f"largest tilt, {year.tracking.max_tilt:g} deg",
         Limit.SHADOW: f"shadow on the next row, {year.tracking.pitch:g} lengths away",
         Limit.REACH: "out of reach of the mechanism",
         Limit.COLLISION: f"bodies closer than {1e3 * year.tracking.clearance:g} mm",

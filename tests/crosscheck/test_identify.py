@@ -156,7 +156,7 @@ def test_identify_prints_a_table_and_writes_its_numbers(capsys, tmp_path, data):
     assert abs(mass["fitted"] - 0.95) < 5.0 * mass["deviation"] < 1e-2
     assert found["undetermined"] == []
     assert run(capsys, "report", tmp_path)[0] == 0
-    assert "reduced chi" in (tmp_path / "report.html").read_text()
+    assert "reduced chi-squared" in (tmp_path / "report.html").read_text()
 
 
 def test_identify_names_what_the_data_do_not_determine(capsys, tmp_path, data):

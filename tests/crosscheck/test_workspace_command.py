@@ -131,15 +131,15 @@ def test_a_point_in_a_plane_has_extents_extremes_and_results_to_take_away(capsys
     assert (found["points"], found["reachable"], found["beyond_singular"]) == (9, 9, sum(beyond))
     assert found["point"] == {"body": "coupler_0", "point": [0.5, 1.0, 0.0]}
     extremes = {each["position"]: each for each in found["extremes"]}
-    assert extremes.keys() == {f"{end} {axis}" for end in ("smallest", "largest") for axis in "xy"}
-    highest = extremes["largest y"]
+    assert extremes.keys() == {f"{end} {axis}" for end in ("minimum", "maximum") for axis in "xy"}
+    highest = extremes["maximum y"]
     assert (highest["x, m"], highest["y, m"]) == pytest.approx((0.5, 1.0), abs=1e-12)
     assert highest["coordinates"]["pivot_0"] == pytest.approx(0.0, abs=1e-12)
     assert "2 of 9 poses are reached through a singular configuration" in " ".join(out.split())
     # the page has the tables and the picture
     assert run(capsys, "report", tmp_path)[0] == 0
     page = (tmp_path / "report.html").read_text()
-    assert all(text in page for text in ("workspace over pivot_0", "largest y", "data:image/png;base64,"))
+    assert all(text in page for text in ("workspace over pivot_0", "maximum y", "data:image/png;base64,"))
 
 
 def test_coordinates_of_joints_with_several_have_numbers(few_searches):

@@ -77,13 +77,13 @@ class Identification:
             (`is_wrong`), all entries are NaN.
         noise: standard deviations of columns by name, for each run; given, or estimated from the residuals.
         misfits: root mean squares of the residuals of columns by name, in units of their noise.
-        misfit: reduced chi: root of (sum of squared residuals in units of the given noise, divided by the
+        misfit: root of reduced chi-squared: root of (sum of squared residuals in units of the given noise, divided by the
             expected sum). About 1 if the scene can move as measured. NaN if no noise is given, or if there
             are not more numbers with given noise than the fit needs.
         degrees_of_freedom: degrees of freedom of the misfit as a chi-squared variable, see
             `newton_euler.analysis.identification.noise`. If all noise is given: the number of measured
             numbers minus the number of identifiable combinations of parameters.
-        probability: probability of this misfit or a larger one by chance alone; NaN without a misfit.
+        probability: p-value: probability of this misfit or a larger one by chance alone; NaN without a misfit.
         residuals: measured minus computed, (n,) by column, for each run.
         unlike: columns without given noise that a constant fits better than the scene.
         in_degrees: columns of rad or rad/s that fit as degrees.
@@ -177,9 +177,9 @@ class Identification:
         """One line of text on the misfit and its probability."""
         if np.isnan(self.probability):
             return "to test the scene, give the noise of columns, and more numbers than parameters"
-        chance = f"{self.probability:.2g}" if self.probability >= 1e-6 else "below 1e-6"
+        chance = f"{self.probability:.2g}" if self.probability >= 1e-6 else "< 1e-6"
         freedom = f"{round(self.degrees_of_freedom, 1):,.10g} degrees of freedom"
-        return f"reduced chi {self.misfit:.3g}, expected 1; probability {chance}, {freedom}"
+        return f"reduced chi-squared {self.misfit**2:.3g}, expected 1; p-value {chance}; {freedom}"
 
     @property
     def is_wrong(self) -> bool:

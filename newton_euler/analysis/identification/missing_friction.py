@@ -70,7 +70,7 @@ class MissingFriction:
 
     Attributes:
         coulomb: fitted Coulomb friction, N or N m, by label of the joint coordinate.
-        misfit: reduced chi of the fit with this friction.
+        misfit: root of reduced chi-squared of the fit with this friction.
     """
 
     coulomb: dict[str, float]
@@ -80,7 +80,7 @@ class MissingFriction:
         """Return a line of text for each joint."""
         return [
             f"residuals change with the direction of joint {joint}, as with dry friction: "
-            f"add a JointFriction (coulomb {value:.3g}; reduced chi {self.misfit:.3g})"
+            f"add a JointFriction (coulomb {value:.3g}; reduced chi-squared {self.misfit**2:.3g})"
             for joint, value in self.coulomb.items()
         ]
 
@@ -128,7 +128,7 @@ def missing_friction(
         fitted: values of the p fitted parameters by name, SI.
         rates: rates (k,) of the joint coordinates in all fitted runs.
         deviations: (n,) standard deviations of the measured numbers, SI.
-        misfit: reduced chi of the fit.
+        misfit: root of reduced chi-squared of the fit.
 
     Returns:
         The friction; None if friction does not explain the residuals, or if other parameters explain them
@@ -182,7 +182,7 @@ def _with_friction(
     Args:
         inputs, fitted: scene and measurements of the fit, and names of the fitted parameters.
         frictions: elements to add to the scene, the most likely one first.
-        misfit: reduced chi of the fit without friction.
+        misfit: root of reduced chi-squared of the fit without friction.
 
     Returns:
         The friction that explains the residuals, of no more joints than necessary; None if it does not.

@@ -191,22 +191,6 @@ def test_an_option_that_a_file_does_not_have_is_refused(capsys, arm, tmp_path):
         crosscheck.diff(urdf, arm("first"), first_options={"gravity": "0"})
 
 
-@pytest.mark.parametrize("folder_is_named", [True, False])
-def test_run_against_is_diff(capsys, arm, tmp_path, monkeypatch, folder_is_named):
-    monkeypatch.chdir(tmp_path)
-    one, other = arm("first"), arm("other", mass="1.52")
-    output = ("--output", "out") if folder_is_named else ()
-    status, out, _ = run(capsys, "diff", one, other, *output)
-    contents = json.loads(next(tmp_path.glob("out*/**/diff.json")).read_text())
-    status_of_run, out_of_run, err = run(capsys, "run", one, "--against", other, *output)
-    assert (status, status_of_run) == (1, 1)
-    assert err == ""
-    assert out_of_run.startswith(out)
-    hint = f"run --against goes with the next release; use crosscheck diff {one} {other}"
-    assert out_of_run.removeprefix(out).split() == hint.split()
-    assert json.loads(next(tmp_path.glob("out*/**/diff.json")).read_text()) == contents
-
-
 def test_a_converted_model_with_its_loop_file_moves_alike(capsys, tmp_path):
     text = (ROOT / "examples" / "linkage.xml").read_text()
     text = re.sub(r"<actuator>.*</keyframe>", "", text, flags=re.DOTALL)  # no URDF has drives
@@ -215,37 +199,13 @@ def test_a_converted_model_with_its_loop_file_moves_alike(capsys, tmp_path):
     model.write_text(text)
     assert run(capsys, "convert", model, converted)[0] == 0
     loops = f"loops={tmp_path / 'converted.loops.yaml'}"
-    of_diff = "diff", model, converted, "--set-second"
-    of_run = "run", model, "--against", converted, "--against-set"
-    for arguments in (of_diff, of_run):
-        assert run(capsys, *arguments, loops, "--output", tmp_path / "out")[0] == 0
-        found = json.loads((tmp_path / "out" / "diff.json").read_text())
-        assert [each["source"] for each in found["models"]] == [str(model), str(converted)]
-        assert found["outcome"] == "SAME"
-        assert found["motion"]["change"] < 1e-12  # round-off of a mechanism of condition 30
-        assert found["run"]["distance"] <= found["run"]["uncertainty"]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("tracker", "--against-set", "gravity=off"), "--against-set is for the model of --against"),
-        (("tracker", "--against", "tracker", "--engines", "mujoco"), "--engines is for one model"),
-        (("tracker", "--against", "tracker", "--save", "x.rrd"), "--save is for one model"),
-        (("tracker", "--against", "tracker", "--against-set", "loops=l.yaml"), "'loops'"),
-        (
-            ("tracker", "--against", "tracker", "--against-set", "foo"),
-            "--against-set 'foo' is not of the form",
-        ),
-        (("--all", "--against", "tracker"), "--all runs all scenes"),
-        (("tracker", "--against", "none.xml"), "none.xml: cannot be read"),
-    ],
-)
-def test_bad_usage_of_run_against(capsys, tmp_path, arguments, message):
-    status, out, err = run(capsys, "run", *arguments, "--output", tmp_path / "out")
-    assert (status, out) == (2, "")
-    assert message in err
-    assert not (tmp_path / "out" / "diff.json").exists()
+    arguments = "diff", model, converted, "--set-second", loops, "--output", tmp_path / "out"
+    assert run(capsys, *arguments)[0] == 0
+    found = json.loads((tmp_path / "out" / "diff.json").read_text())
+    assert [each["source"] for each in found["models"]] == [str(model), str(converted)]
+    assert found["outcome"] == "SAME"
+    assert found["motion"]["change"] < 1e-12  # round-off of a mechanism of condition 30
+    assert found["run"]["distance"] <= found["run"]["uncertainty"]
 
 
 FLOATING = """<mujoco model="leg"><worldbody><body name="hip" pos="0 0 1"><freejoint name="free"/>

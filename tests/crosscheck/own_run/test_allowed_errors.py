@@ -100,9 +100,6 @@ def test_other_texts_are_refused(capsys, tmp_path, swing, text, message):
 
 def test_scenes_without_settings_are_refused(capsys, tmp_path):
     check_refused(capsys, tmp_path, "pendulum", "--max-error=1", message="pendulum has no run of its own")
-    check_refused(
-        capsys, tmp_path, "pendulum", "--max-error=1", "--against", "chain", message="without --against"
-    )
 
 
 def test_the_exit_status_is_of_the_error_only_with_the_option(capsys, tmp_path, swing):

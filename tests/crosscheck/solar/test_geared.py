@@ -28,7 +28,7 @@ PLACE, DATE, PERIOD = Place(11.56, 104.92), "2026-03-21", 3600.0
 
 @pytest.fixture(scope="module")
 def days():
-    tracking = Tracking(most_tilt=30.0)
+    tracking = Tracking(max_tilt=30.0)
     scenes = load("tracker_drive"), sun_tracker()
     return [tracker_day(scene, PANEL_NORMAL, PLACE, DATE, None, tracking, PERIOD) for scene in scenes]
 
@@ -106,7 +106,7 @@ def test_a_panel_off_its_set_points_is_not_called_followed():
     """With the gains of the paper, 50 N/m, the loads of a wind of 8 m/s move the sliders by centimeters."""
     soft = replace(load("tracker_gravity"), name="soft")
     wind = np.full(25, 8.0)
-    day = tracker_day(soft, PANEL_NORMAL, PLACE, DATE, None, Tracking(most_tilt=30.0), PERIOD, wind, 90.0)
+    day = tracker_day(soft, PANEL_NORMAL, PLACE, DATE, None, Tracking(max_tilt=30.0), PERIOD, wind, 90.0)
     assert day.off_set_points.any()
     report = day_report(day)
     assert report.judged.verdict == "fails"

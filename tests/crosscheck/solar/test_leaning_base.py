@@ -30,7 +30,7 @@ def day_of(joint, base=BASE, wind=None, **rules):
         "panel", Mechanism([Body.ground(), panel], [joint]), 1.0, 0.1, gravity=[0, 0, -9.81], control=control
     )
     winds = None if wind is None else np.full(25, wind)
-    rules = {"most_tilt": 90.0} | rules
+    rules = {"max_tilt": 90.0} | rules
     return tracker_day(scene, NORMAL, PLACE, DATE, None, Tracking(**rules), PERIOD, winds, base=base)
 
 

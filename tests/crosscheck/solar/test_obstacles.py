@@ -16,7 +16,7 @@ from mjcf.clearance import clearances, closest
 from newton_euler import PD, Axis, Body, Box, Fixed, Mechanism, Revolute, Scene, solve_poses
 
 KEYS = [("slide_12", 0), ("slide_13", 0)]
-TRACKING = Tracking(most_tilt=60.0)
+TRACKING = Tracking(max_tilt=60.0)
 BLOCKED = tilted(np.radians([36.0, 45.0, 60.0]), np.radians([257.0, 262.0, 268.0]))
 """Towards the sun in the west: a leg comes near the base, and then the poses are out of reach."""
 
@@ -129,7 +129,7 @@ def test_bodies_that_are_near_if_the_panel_lies_flat_may_not_overlap_later(gap, 
 
 def test_ways_of_long_moves_are_examined():
     """Between two free poses the sliders cross a region where the panel is nearly singular."""
-    tracking = Tracking(most_tilt=60.0, to_singular=0.3)
+    tracking = Tracking(max_tilt=60.0, to_singular=0.3)
     scene, directions = (
         sun_tracker(),
         tilted(np.radians([20.0, 20.0, 21.0]), np.radians([80.0, 265.0, 265.0])),
@@ -171,7 +171,7 @@ def test_an_axis_may_be_another_one():
 def test_leg_and_base_collide_for_19_minutes_of_an_afternoon():
     """Set-points of each minute, with a clearance of 0, are those that `crosscheck workspace` counts as
     collisions: 14:24 to 14:42."""
-    scene, tracking = sun_tracker(), Tracking(most_tilt=60.0, clearance=0.0)
+    scene, tracking = sun_tracker(), Tracking(max_tilt=60.0, clearance=0.0)
     sun = sun_over(Place(11.56, 104.92), day_times("2026-03-21", "UTC+07:00", 60.0)[860:885])
     obstacles = Obstacles(scene, PANEL_NORMAL, tracking)
     poses = obstacles.poses(tracking.towards(sun))

@@ -56,8 +56,8 @@ def rows_of_pvlib(sun, **options):
 @pytest.mark.parametrize(
     ("tracking", "options"),
     [
-        (Tracking(most_tilt=60.0), {"max_angle": 60.0, "backtrack": False}),
-        (Tracking(most_tilt=60.0, pitch=2.5), {"max_angle": 60.0, "backtrack": True, "gcr": 1.0 / 2.5}),
+        (Tracking(max_tilt=60.0), {"max_angle": 60.0, "backtrack": False}),
+        (Tracking(max_tilt=60.0, pitch=2.5), {"max_angle": 60.0, "backtrack": True, "gcr": 1.0 / 2.5}),
     ],
 )
 def test_rows_turn_as_those_of_pvlib(scene, tracking, options):
@@ -77,7 +77,7 @@ def test_rows_turn_as_those_of_pvlib(scene, tracking, options):
 
 def test_moves_at_night_may_last_longer_than_a_period(scene):
     """At 0.5 mrad/s the row follows the sun; the 120 degrees to the next morning take 70 minutes."""
-    tracking = Tracking(most_tilt=60.0, speed=5e-4)
+    tracking = Tracking(max_tilt=60.0, speed=5e-4)
     day = tracker_day(scene, Axis("table", [0.0, 0.0, 1.0]), SEVILLE, DATE, None, tracking, 1800.0)
     assert np.degrees(day.error_parts["motion, control and wind load"]).max() > 20.0
     assert not day.off_set_points.any()
@@ -132,7 +132,7 @@ def results(model, tmp_path_factory):
         str(model),
         "--axis",
         "table=0,0,1",
-        "--most-tilt",
+        "--max-tilt",
         "60",
         *place,
         "--output",

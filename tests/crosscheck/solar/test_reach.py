@@ -73,7 +73,7 @@ def sun_of_few_hours(date_range):
 def test_gimbals_reach_every_direction_but_their_own_axis(tmp_path, few_hours):
     """About an upright axis and one across it: singular where the face is upright, which the sun never is."""
     reach = reach_over_year(
-        scene_of(tmp_path, GIMBAL), Axis("table", [1.0, 0.0, 0.0]), PLACE, YEAR, Tracking(most_tilt=60.0)
+        scene_of(tmp_path, GIMBAL), Axis("table", [1.0, 0.0, 0.0]), PLACE, YEAR, Tracking(max_tilt=60.0)
     )
     assert len(reach.cause) == len(few_hours)
     assert (reach.cause == Cause.FREE).all()
@@ -85,7 +85,7 @@ def test_gimbals_reach_every_direction_but_their_own_axis(tmp_path, few_hours):
 
 def test_rows_leave_the_angle_of_incidence_of_pvlib(tmp_path, few_hours):
     reach = reach_over_year(
-        scene_of(tmp_path, ROW), Axis("table", [0.0, 0.0, 1.0]), PLACE, YEAR, Tracking(most_tilt=90.0)
+        scene_of(tmp_path, ROW), Axis("table", [0.0, 0.0, 1.0]), PLACE, YEAR, Tracking(max_tilt=90.0)
     )
     expected = pvlib.tracking.singleaxis(
         few_hours["apparent_zenith"], few_hours["azimuth"], axis_azimuth=0.0, max_angle=90.0, backtrack=False

@@ -57,7 +57,7 @@ def sun():
 
 
 def test_panels_tilt_no_more_than_they_may(sun):
-    normals, most = Tracking(most_tilt=40.0).normals(sun), np.radians(40.0)
+    normals, most = Tracking(max_tilt=40.0).normals(sun), np.radians(40.0)
     tilt = np.arccos(normals[:, 2])
     assert np.max(tilt) < most + 1e-12
     high = sun.elevation > 0.5 * np.pi - most
@@ -82,7 +82,7 @@ def test_dead_bands_hold_panels_until_they_are_off_by_more(sun):
 
 def test_backtracking_leaves_the_next_row_in_the_sun(sun):
     pitch = 2.0
-    normals = Tracking(most_tilt=90.0, pitch=pitch).normals(sun)
+    normals = Tracking(max_tilt=90.0, pitch=pitch).normals(sun)
     up = sun.elevation > np.radians(0.5)
     tilt = np.arccos(normals[up, 2])
     # length of ground between the ends of a panel of length 1 and of its shadow
@@ -108,7 +108,7 @@ def test_a_windy_day_is_told_of(tmp_path):
     path = tmp_path / "wind.csv"
     path.write_text("time, speed\n0, 0\n43200, 12\n86400, 0\n")
     wind = wind_over_day(str(path), seconds_of_day(3600.0))
-    tracking = Tracking(stow=6.0, most_tilt=90.0)
+    tracking = Tracking(stow=6.0, max_tilt=90.0)
     day = tracker_day(sun_tracker(), PANEL_NORMAL, EQUATOR, "2026-03-21", None, tracking, 3600.0, wind)
     assert np.flatnonzero(day.stowed).tolist() == list(range(6, 19))
     assert not (day.faces & day.stowed).any()
@@ -207,7 +207,7 @@ def test_storms_come_at_set_points():
 
 
 def test_what_is_out_of_reach_is_faced_as_nearly_as_can_be():
-    tracking = Tracking(most_tilt=60.0)
+    tracking = Tracking(max_tilt=60.0)
     wanted = tracking.normals(sun_over(EQUATOR, day_times("2026-03-21", "UTC", 3600.0)))
     poses = solve_poses(sun_tracker(), axis=PANEL_NORMAL, towards=wanted)
     assert not poses.reached.all()
@@ -256,7 +256,7 @@ def test_a_sun_that_does_not_rise():
 @pytest.mark.parametrize(
     "value",
     [
-        {"most_tilt": 120.0},
+        {"max_tilt": 120.0},
         {"deadband": -1.0},
         {"pitch": 0.5},
         {"stow": float("nan")},
@@ -279,7 +279,7 @@ def test_set_points_are_those_of_pd_laws():
 
 def test_a_flat_panel_has_a_tilt_of_zero():
     """Round-off makes the normal of a panel that hardly tilts longer than 1."""
-    place, tracking = Place(11.5, 0.0), Tracking(most_tilt=1e-9)
+    place, tracking = Place(11.5, 0.0), Tracking(max_tilt=1e-9)
     found = tracker_day(sun_tracker(), PANEL_NORMAL, place, "2026-03-21", None, tracking, 3600.0, None)
     tilts = [row[5] for row in hours(found)]
     assert set(tilts) == {"0.0"}

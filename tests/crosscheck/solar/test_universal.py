@@ -25,7 +25,7 @@ def day():
     scene = Scene(
         "cardan", Mechanism([Body.ground(), panel], [joint]), 1.0, 0.1, gravity=[0, 0, -G], control=control
     )
-    tracking = Tracking(most_tilt=60.0)
+    tracking = Tracking(max_tilt=60.0)
     return tracker_day(scene, NORMAL, Place(37.4, -6.0), "2026-03-21", tracking=tracking, period=3600.0)
 
 

@@ -108,7 +108,7 @@ def on_panel(weather, tilt, azimuth):
 
 def test_irradiation_is_that_of_pvlib(weather):
     """This tracker points as close to the sun as 30 degrees allow, in its azimuth."""
-    year = tracker_year(sun_tracker(), PANEL_NORMAL, weather, Tracking(most_tilt=30.0))
+    year = tracker_year(sun_tracker(), PANEL_NORMAL, weather, Tracking(max_tilt=30.0))
     expected = {
         THIS: on_panel(
             weather, lambda sun: np.minimum(sun["apparent_zenith"], 30.0), lambda sun: sun["azimuth"]
@@ -127,7 +127,7 @@ def test_irradiation_is_that_of_pvlib(weather):
 
 
 def test_two_axes_always_face_the_sun(weather, gimbal):
-    year = tracker_year(gimbal, NORMAL, weather, Tracking(most_tilt=90.0))
+    year = tracker_year(gimbal, NORMAL, weather, Tracking(max_tilt=90.0))
     up = year.sun.is_up
     assert np.max(year.off_sun[up]) < 1e-6
     assert year.light[THIS] == pytest.approx(year.light[FACING], rel=1e-3)  # below the horizon it waits
@@ -137,7 +137,7 @@ def test_two_axes_always_face_the_sun(weather, gimbal):
 
 def test_one_axis_is_that_of_pvlib(weather):
     """The nearest pose to the sun of a hinge from south to north; pvlib's row turns by 90 degrees at most."""
-    year = tracker_year(panel_scene([0, 1, 0]), NORMAL, weather, Tracking(most_tilt=90.0))
+    year = tracker_year(panel_scene([0, 1, 0]), NORMAL, weather, Tracking(max_tilt=90.0))
     up = year.sun.is_up
     zenith, azimuth = 90.0 - np.degrees(year.sun.elevation), np.degrees(year.sun.azimuth)
     row = pvlib.tracking.singleaxis(zenith, azimuth, max_angle=90, backtrack=False)
@@ -147,7 +147,7 @@ def test_one_axis_is_that_of_pvlib(weather):
 
 
 def test_losses_add_up_to_what_the_panel_lacks(weather, gimbal):
-    tracking = Tracking(most_tilt=50.0, pitch=2.0, stow=6.0)
+    tracking = Tracking(max_tilt=50.0, pitch=2.0, stow=6.0)
     year = tracker_year(gimbal, NORMAL, weather, tracking)
     lost = {limit: year.lost_by(limit) for limit in Limit}
     assert sum(lost.values()) == pytest.approx(year.light[FACING] - year.light[THIS])
@@ -168,13 +168,13 @@ def test_losses_add_up_to_what_the_panel_lacks(weather, gimbal):
 
 
 def test_dead_bands_cost_a_little(weather, gimbal):
-    year = tracker_year(gimbal, NORMAL, weather, Tracking(deadband=5.0, most_tilt=90.0))
+    year = tracker_year(gimbal, NORMAL, weather, Tracking(deadband=5.0, max_tilt=90.0))
     off = np.degrees(year.off_sun[year.sun.is_up])
     assert 2.0 < np.max(off) < 5.0 + 0.1
     assert 0.0 < year.lost_by(Limit.NONE) < (1.0 - np.cos(np.radians(5.0))) * year.light[FACING]
     # a dead band of 60 degrees does not keep the panel from lying flat in wind
     windy = year.sun.is_up & (weather.wind >= 6.0)
-    stows = tracker_year(gimbal, NORMAL, weather, Tracking(deadband=60.0, most_tilt=90.0, stow=6.0))
+    stows = tracker_year(gimbal, NORMAL, weather, Tracking(deadband=60.0, max_tilt=90.0, stow=6.0))
     assert np.allclose(stows.normals[windy], [0.0, 0.0, 1.0], rtol=0.0, atol=1e-9)
 
 
@@ -182,7 +182,7 @@ def test_strokes_stop_both_axes(weather, gimbal):
     """The normal is R_y(a) R_x(b) z = (sin a cos b, -sin b, cos a cos b); both angles stop at 20 degrees."""
     ends = (-np.radians(20.0), np.radians(20.0))
     strokes = {"hinge_0": ends, "hinge_1": ends}
-    year = tracker_year(gimbal, NORMAL, weather, Tracking(most_tilt=90.0), strokes=strokes)
+    year = tracker_year(gimbal, NORMAL, weather, Tracking(max_tilt=90.0), strokes=strokes)
     up = year.sun.is_up
     x, y, z = year.sun.direction[up].T
     a, b = (np.clip(each, *ends) for each in (np.arctan2(x, z), -np.arcsin(y)))
@@ -210,7 +210,7 @@ def test_a_bar_turns_until_it_comes_close_to_the_ground(weather):
         Fixed("weld", "frame", "bar", [0, 0, 0]),
     ]
     scene = Scene("bar", Mechanism([Body.ground(shapes=(beam,)), frame, bar], joints), 1.0, 0.1)
-    year = tracker_year(scene, Axis("bar", [0, 0, 1]), weather, Tracking(most_tilt=90.0, clearance=0.01))
+    year = tracker_year(scene, Axis("bar", [0, 0, 1]), weather, Tracking(max_tilt=90.0, clearance=0.01))
     blocked = year.limits == Limit.COLLISION
     tilt = np.degrees(np.arccos(np.clip(year.normals[:, 2], -1.0, 1.0)))
     assert np.sum(blocked) > 20
@@ -219,7 +219,7 @@ def test_a_bar_turns_until_it_comes_close_to_the_ground(weather):
     assert np.max(tilt) < largest + 0.5
     assert year.notes == ()
     # bodies that are nearer than the clearance in the flat pose are too close where they overlap
-    near = tracker_year(scene, Axis("bar", [0, 0, 1]), weather, Tracking(most_tilt=90.0, clearance=0.4))
+    near = tracker_year(scene, Axis("bar", [0, 0, 1]), weather, Tracking(max_tilt=90.0, clearance=0.4))
     blocked = near.limits == Limit.COLLISION
     tilt = np.degrees(np.arccos(np.clip(near.normals[:, 2], -1.0, 1.0)))
     assert np.sum(blocked) > 20
@@ -244,7 +244,7 @@ def test_wind_is_needed_for_stowing(weather, gimbal):
 def test_power_of_a_module(weather, gimbal):
     """PVWatts with Faiman's temperature, written out."""
     module = Module(area=1.7, efficiency=0.21, temperature_coefficient=-0.004)
-    year = tracker_year(gimbal, NORMAL, weather, Tracking(most_tilt=90.0), module=module)
+    year = tracker_year(gimbal, NORMAL, weather, Tracking(max_tilt=90.0), module=module)
     light = year.irradiance[THIS]
     cell = weather.temperature + light / (25.0 + 6.84 * weather.wind)
     expected = 1.7 * 0.21 * light * (1.0 - 0.004 * (cell - 25.0))
@@ -293,7 +293,7 @@ def test_rotations_of_a_base():
 def test_a_base_that_leans_by_the_latitude_carries_a_fixed_panel(weather):
     """The flat panel on it is tilted by the latitude; the tracker's largest tilt is relative to the base."""
     leaning = Base.at_rest(roll=PLACE.latitude)
-    year = tracker_year(sun_tracker(), PANEL_NORMAL, weather, Tracking(most_tilt=30.0), base=leaning)
+    year = tracker_year(sun_tracker(), PANEL_NORMAL, weather, Tracking(max_tilt=30.0), base=leaning)
     assert year.light[FLAT_ON_BASE] == pytest.approx(year.light[FIXED], rel=1e-12)
     axis = rotation_matrix(np.radians(PLACE.latitude), 0.0, 0.0) @ [0.0, 0.0, 1.0]
     lit = year.lit
@@ -304,7 +304,7 @@ def test_a_base_that_leans_by_the_latitude_carries_a_fixed_panel(weather):
     assert np.max(year.off_sun[near & year.sun.is_up]) < 1e-6
     # a base with its x axis to the south leans to the south by its pitch
     turned = Base.at_rest(heading=180.0, pitch=PLACE.latitude)
-    other = tracker_year(sun_tracker(), PANEL_NORMAL, weather, Tracking(most_tilt=30.0), base=turned)
+    other = tracker_year(sun_tracker(), PANEL_NORMAL, weather, Tracking(max_tilt=30.0), base=turned)
     assert other.light[THIS] == pytest.approx(year.light[THIS], rel=1e-9)
 
 
@@ -313,7 +313,7 @@ def test_a_turning_base_does_not_keep_two_axes_from_the_sun(weather, gimbal):
     hours = 3600.0 * np.arange(len(weather.times) + 1.0)
     sway = Spline(hours, np.radians(10.0) * np.sin(hours / 5e4))
     base = Base({"yaw": Spline(hours, hours / 3e4), "roll": sway})
-    year = tracker_year(gimbal, NORMAL, weather, Tracking(most_tilt=90.0), base=base)
+    year = tracker_year(gimbal, NORMAL, weather, Tracking(max_tilt=90.0), base=base)
     faces = year.limits == Limit.NONE
     assert np.sum(faces) > 0.9 * np.sum(year.sun.is_up)
     assert np.max(year.off_sun[faces]) < 1e-6
@@ -433,7 +433,7 @@ def test_the_command_writes_what_it_prints(tmp_path, capsys):
     model.write_text(GIMBAL_MJCF)
     file.write_text(synthetic.tmy3()[0])
     given = ["year", model, "--axis", "panel=0,0,1", "--weather", file, "--output", out]
-    given += ["--area", "2", "--efficiency", "0.2", "--most-tilt", "60"]
+    given += ["--area", "2", "--efficiency", "0.2", "--max-tilt", "60"]
     status, printed, _ = run(capsys, *given)
     assert status == 0
     content = json.loads((out / "year.json").read_text())

@@ -365,7 +365,7 @@ def test_a_scene_that_is_wrong_is_said_to_be():
     assert found.values == pytest.approx(found.before, rel=0.1)
     exact = identify(scene, names[1:2], measured(scene, "pivot", noise=1e-5))
     assert not exact.is_wrong
-    assert f"reduced chi {exact.misfit:.3g}, expected 1" in exact.fit
+    assert f"reduced chi-squared {exact.misfit**2:.3g}, expected 1" in exact.fit
 
 
 def test_columns_that_the_scene_does_not_move_like_are_named():
