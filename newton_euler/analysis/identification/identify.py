@@ -77,13 +77,14 @@ class Identification:
             (`is_wrong`), all entries are NaN.
         noise: standard deviations of columns by name, for each run; given, or estimated from the residuals.
         misfits: root mean squares of the residuals of columns by name, in units of their noise.
-        misfit: root of reduced chi-squared: root of (sum of squared residuals in units of the given noise, divided by the
-            expected sum). About 1 if the scene can move as measured. NaN if no noise is given, or if there
-            are not more numbers with given noise than the fit needs.
+        misfit: root of reduced chi-squared: root of (sum of squared residuals in units of the given noise,
+            divided by the expected sum). About 1 if the scene can move as measured. NaN if no noise is
+            given, or if there are not more numbers with given noise than the fit needs.
         degrees_of_freedom: degrees of freedom of the misfit as a chi-squared variable, see
             `newton_euler.analysis.identification.noise`. If all noise is given: the number of measured
             numbers minus the number of identifiable combinations of parameters.
-        probability: p-value: probability of this misfit or a larger one by chance alone; NaN without a misfit.
+        probability: p-value: probability of this misfit or a larger one by chance alone. NaN without a
+            misfit.
         residuals: measured minus computed, (n,) by column, for each run.
         unlike: columns without given noise that a constant fits better than the scene.
         in_degrees: columns of rad or rad/s that fit as degrees.

@@ -58,8 +58,8 @@ class Noise:
         unknown: (u,) names of the columns whose noise is not given in at least one run.
         levels: (1 + u,) one level for each group. The first is a factor of all given noise: 1 unless the
             scene is wrong. The others are standard deviations of the columns in `unknown`, SI.
-        misfit: root of reduced chi-squared: root of (sum of squared residuals in units of the given noise, divided by the
-            expected sum). NaN if the columns with given noise are too few to determine it.
+        misfit: root of reduced chi-squared: root of (sum of squared residuals in units of the given noise,
+            divided by the expected sum). NaN if the columns with given noise are too few to determine it.
         freedom: degrees of freedom of the misfit.
     """
 
