@@ -163,7 +163,7 @@ def test_no_run_without_a_pose_that_fits_both() -> None:
     states, run = run_of(one, other)
     assert run is None
     assert no_run_text(compare_motions(states)) == (
-        "not simulated: no pose fits both robots: 'jb' is off by 11 deg"
+        "not simulated: no pose fits both robots: constraint 'jb' is violated by 11 deg"
     )
 
 

@@ -247,4 +247,4 @@ def test_runs_are_cross_checked_in_the_engines_that_are_named(with_engines, caps
     checks = ("--check", 1, "--engines", "newton_euler,toy", "--output", tmp_path / "sweep")
     status, out, _ = run(capsys, "sweep", "pendulum", *arguments, *checks)
     assert status == 0
-    assert "newton_euler, toy in all checks" in " ".join(out.split())
+    assert "newton_euler, toy agree in all checks" in " ".join(out.split())
