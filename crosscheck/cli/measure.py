@@ -135,7 +135,7 @@ def bench_command(
     "letters",
     default="",
     metavar="LETTERS",
-    help="Letters of the topics to run, such as bh.  [default: all]",
+    help="Letters of the topics to run, such as bf.  [default: all]",
 )
 def stress_command(full: bool, engines: list[str] | None, output: Path, letters: str) -> int:
     """Stress-test engines with extreme parameter values.

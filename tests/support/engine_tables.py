@@ -14,7 +14,6 @@ writes one of the tables into the page:
 from __future__ import annotations
 
 import json
-import re
 import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -22,6 +21,7 @@ from statistics import median
 from typing import Any
 
 from elements import COUPLED, ELEMENTS
+from page_tables import RESULTS, replaced
 
 from crosscheck.engines.engine import Engine
 from crosscheck.engines.registry import choose
@@ -35,7 +35,7 @@ from newton_euler.model.scene import Scene
 ERRORS = (1e-3, 1e-5, 1e-7, 1e-9)
 """Errors, m and rad, of the rows of the table of run times."""
 
-PAGE = Path(__file__).parents[2] / "docs" / "results" / "engines.md"
+PAGE = RESULTS / "engines.md"
 
 
 def scenes() -> dict[str, Scene]:
@@ -151,14 +151,6 @@ def faults(folder: Path, engines: Iterable[Engine]) -> list[str]:
         rows.append([engine.label or engine.name, *map(str, counts)])
     names = ("faults", "detected", "located", "of motion", "detected by motion", "located by motion")
     return list(markdown_table(Table("", [*text_columns("engine"), *number_columns(*names)], rows)))
-
-
-def replaced(page: str, name: str, lines: Iterable[str]) -> str:
-    """Page with other lines between the comments `<!-- NAME -->` and `<!-- end of NAME -->`."""
-    start, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
-    assert page.count(start) == page.count(end) == 1, f"{PAGE} has no place for the table {name!r}"
-    text = "\n".join([start, "", *lines, "", end])
-    return re.sub(f"{re.escape(start)}.*?{re.escape(end)}", lambda _: text, page, flags=re.DOTALL)
 
 
 TABLES = {

@@ -1,9 +1,10 @@
-"""Tables of the pages on results, in which plots find their numbers."""
+"""Tables of the pages on results: scripts write them, and plots find their numbers in them."""
 
 from __future__ import annotations
 
 import html
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -49,3 +50,11 @@ def cells(row: str) -> list[str]:
 def numbers(text: str) -> list[float]:
     """Numbers of a text, in their order; commas separate thousands."""
     return [float(each.replace(",", "")) for each in NUMBER.findall(text)]
+
+
+def replaced(page: str, name: str, lines: Iterable[str]) -> str:
+    """Page with other lines between the comments `<!-- NAME -->` and `<!-- end of NAME -->`."""
+    start, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
+    assert page.count(start) == page.count(end) == 1, f"the page has no place for {name!r}"
+    text = "\n".join([start, "", *lines, "", end])
+    return re.sub(f"{re.escape(start)}.*?{re.escape(end)}", lambda _: text, page, flags=re.DOTALL)

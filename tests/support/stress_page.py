@@ -1,9 +1,9 @@
-"""Write the results of `crosscheck stress` into `docs/results/stress.md`, each topic folded.
+"""Write the results of `crosscheck stress` into the tables of `docs/results/stress.md`.
 
     python tests/support/stress_page.py FOLDER/stress.md
 
-The argument is the Markdown file that `crosscheck stress --full` writes. Its table of passed cases comes
-first; bounds and cases of a topic are below one line, which opens when a reader selects it.
+The argument is the Markdown file that `crosscheck stress --full` writes. The page has comments around the
+place of the summary and of each topic, such as `<!-- topic a -->` and `<!-- end of topic a -->`.
 """
 
 from __future__ import annotations
@@ -13,33 +13,36 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from crosscheck.studies.models import write
+from page_tables import RESULTS, replaced
 
-PAGE = Path(__file__).parents[2] / "docs" / "results" / "stress.md"
+PAGE = RESULTS / "stress.md"
 
 SECTION = re.compile(r"^## (.*)\n", re.MULTILINE)
 
+TOPIC = re.compile(r"\((\w)\) .*")
 
-def page_lines(results: str) -> Iterator[str]:
-    """Yield the lines of the page for the text of `stress.md`."""
-    parts = SECTION.split(results.replace("\\`", "`"))
+
+def tables(results: str) -> Iterator[tuple[str, list[str]]]:
+    """Yield the names of places in the page, and their lines, for the text of `stress.md`."""
+    parts = SECTION.split(results)
     sections = dict(zip(parts[1::2], (text.strip() for text in parts[2::2]), strict=True))
-    verdict = re.search(r"\*\*.*\*\*", parts[0])
+    verdict = re.search(r"\*\*(.*)\*\*", parts[0])
     assert verdict is not None, "the file has no verdict"
-    yield f"{verdict[0]}\n"
-    yield sections.pop("passed cases")
-    yield '\nTable: passed cases of each engine; "all" are cases of crosscheck itself.\n'
-    yield from folded("Machine, versions and meaning of the results", sections.pop("about"))
-    for name, text in sections.items():
-        if not name.startswith("bounds of "):
-            bounds = sections[f"bounds of {name[:3]}"]
-            yield from folded(name, f"{bounds}\n\n{text}\n\nTable: passed cases, and the others with values.")
-
-
-def folded(summary: str, text: str) -> Iterator[str]:
-    """Yield the lines of a text below one line."""
-    yield f'<details markdown="1">\n<summary>{summary}</summary>\n\n{text}\n\n</details>\n'
+    caption = "passed cases of each engine by topic; the column `all` has cases of crosscheck itself"
+    yield "summary", [sections["passed cases"], "", f"Table: {caption} ({verdict[1]})."]
+    yield "origin", [sections["about"].removeprefix("- ")]
+    for title, text in sections.items():
+        if topic := TOPIC.fullmatch(title):
+            letter = topic[1]
+            lines = [sections[f"bounds of ({letter})"], "", "Table: bounds of cases that pass.", ""]
+            lines += [text, "", "Table: passed cases of each engine and setting."]
+            if others := sections.get(f"not passed in ({letter})"):
+                lines += ["", others, "", "Table: cases that do not pass, with their values."]
+            yield f"topic {letter}", lines
 
 
 if __name__ == "__main__":
-    write(PAGE, [*page_lines(Path(sys.argv[1]).read_text())])
+    page = PAGE.read_text()
+    for place, lines in tables(Path(sys.argv[1]).read_text()):
+        page = replaced(page, place, lines)
+    PAGE.write_text(page)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import inspect
 import re
-from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from page_tables import RESULTS
 
 from crosscheck.compare.changes import elements
 from crosscheck.library import load
 from newton_euler import simulate
 
-REDUNDANCY = Path(__file__).parents[2] / "docs" / "explanation" / "redundancy.md"
+NOISE_PAGE = RESULTS / "stress.md"
 
 CRANK, GROUND = 0.5, 1.0
 """Lengths of a parallelogram, m: crank and rocker, ground and coupler."""
@@ -72,7 +72,7 @@ def measured() -> dict[str, tuple[list[str], np.ndarray]]:
     """Read the tables of the page: by mechanism the engines, and rows of noise and deviations, m."""
     found = {}
     for name, head, rows in re.findall(
-        r"^`(\w+)`\n\n\| noise \|(.*)\|\n\|[-|]*\|\n((?:\|.*\n)+)", REDUNDANCY.read_text(), re.MULTILINE
+        r"^`(\w+)`\n\n\| noise \|(.*)\|\n\|[-|]*\|\n((?:\|.*\n)+)", NOISE_PAGE.read_text(), re.MULTILINE
     ):
         engines = [each.strip() for each in head.split("|")]
         values = [[float(x) for x in row.strip("|").split("|")] for row in rows.splitlines()]

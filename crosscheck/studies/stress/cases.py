@@ -75,7 +75,11 @@ class Bound:
 # Bounds that several topics use
 
 ENERGY_BOUND = Bound(
-    "energy error", "rel", 1e-6, 1e-2, "1e-6 is invisible in a plot; beyond 1 % the motion is a different one"
+    "energy error",
+    "relative",
+    1e-6,
+    1e-2,
+    "1e-6 is invisible in a plot; beyond 1 % the motion is a different one",
 )
 """Bound on the energy balance error, relative to the energy scale of the run."""
 

@@ -1,4 +1,4 @@
-"""Stress cases (g) and (h): initial states that violate the constraints, and singular configurations.
+"""Stress cases (e) and (f): initial states that violate the constraints, and singular configurations.
 
 A case measures one value of one engine, such as MuJoCo, at one setting, an integrator with
 its options; a bound judges the value. `full` selects all cases rather than the short form of continuous
@@ -48,7 +48,7 @@ from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.runs.assemble import CONSISTENT_STARTS, assemble, initial_state
 
-# (g) Initial states (starts) that violate the constraints. The mechanism is the solar tracker, in which two
+# (e) Initial states (starts) that violate the constraints. The mechanism is the solar tracker, in which two
 # sliders tilt a panel by legs. The cases measure the state after assembly, which moves bodies until the
 # constraints hold, and the run of each engine from the violating state.
 
@@ -77,7 +77,7 @@ violation (m or rad) that newton_euler accepts at a start: the engine must raise
 
 
 def violated_start_cases(full: bool, engines: Sequence[Engine]) -> Iterator[Case]:
-    """Yield the cases of topic (g), all of them or (unless `full`) the short form."""
+    """Yield the cases of topic (e), all of them or (unless `full`) the short form."""
     for offset in START_OFFSETS if full else START_OFFSETS[1::2]:
         name = f"tracker, bodies {offset:.0e} m and rad off"
         # The assembly of a violating state
@@ -170,7 +170,7 @@ def measure_end_violation(offset: float, setting: Setting) -> Measurement:
     return Measurement(float(violation[-1]), f"at most {np.max(violation):.1e} in between")
 
 
-# (h) Singular configurations: runs that pass one, runs that start in one, and the ends of a slider's travel
+# (f) Singular configurations: runs that pass one, runs that start in one, and the ends of a slider's travel
 
 SLIDER_BOUND = Bound(
     "position error",
@@ -197,7 +197,7 @@ as far."""
 
 
 def singular_cases(full: bool, engines: Sequence[Engine]) -> Iterator[Case]:
-    """Yield the cases of topic (h), all of them or (unless `full`) the short form."""
+    """Yield the cases of topic (f), all of them or (unless `full`) the short form."""
     settings = settings_of(engines, "singular" if full else None)
     for windows in WINDOWS if full else WINDOWS[:2]:
         for setting in settings if windows < 10 else settings_of(engines):

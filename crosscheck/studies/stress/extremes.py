@@ -1,4 +1,4 @@
-"""Stress cases (e), (f) and (k): stiff control gains, extreme mass ratios, and extreme or invalid numbers.
+"""Stress cases (c), (d) and (i): stiff control gains, extreme mass ratios, and extreme or invalid numbers.
 
 A case measures one value of one engine, such as MuJoCo, at one setting, an integrator with
 its options. A bound judges the value: up to `survives` it is accurate, up to `degrades` still useful. Each
@@ -46,7 +46,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 
-# (e) Stiff gains: control of the tracker's sliders
+# (c) Stiff gains: control of the tracker's sliders
 
 GAINS = ((50.0, 20.0), (1e4, 1e2), (1e6, 1e3), (1e6, 1e6), (1e2, 1e6), (1e6, 1e2))
 """PD gains K_p, N/m, and K_d, N s/m, of the two sliders of the scene `tracker`, a solar tracker: first the
@@ -63,7 +63,7 @@ STIFF_BOUND = Bound(
 
 
 def stiff_gain_cases(full: bool, engines: Sequence[Engine]) -> Iterator[Case]:
-    """Yield the cases of topic (e), all of them or (unless `full`) the short form.
+    """Yield the cases of topic (c), all of them or (unless `full`) the short form.
 
     The short form has two pairs of gains and simulates 0.1 s, long enough for the stiff part of the motion.
     """
@@ -106,7 +106,7 @@ def measure_distance_from_reference(
     return Measurement(largest_distance(run, reference), steps_text(run))
 
 
-# (f) Extreme mass ratios, and extreme moments of inertia. No principal moment of a rigid body exceeds the sum
+# (d) Extreme mass ratios, and extreme moments of inertia. No principal moment of a rigid body exceeds the sum
 # of the other two; thin rods and plates are at this limit.
 
 MASS_RATIOS = (1e-8, 1e-4, 1.0, 1e4, 1e8)
@@ -126,7 +126,7 @@ TOP_ANGULAR_VELOCITY = np.array([0.3, -0.7, 1.1])
 
 
 def mass_ratio_cases(full: bool, engines: Sequence[Engine]) -> Iterator[Case]:
-    """Yield the cases of topic (f), all of them or (unless `full`) the short form."""
+    """Yield the cases of topic (d), all of them or (unless `full`) the short form."""
     for ratio in MASS_RATIOS if full else (1e-8, 1.0, 1e8):
         for setting in settings_of(engines, "masses" if full else None):
             # Four-bar linkage of N = 1 loop, for 0.5 s: in this time the bars do not reach the singular flat
@@ -166,7 +166,7 @@ def _changed(scene: Scene, name: str, factor: float) -> Scene:
     return replace(scene, mechanism=Mechanism(bodies, scene.mechanism.joints))
 
 
-# (k) Floating-point limits: numbers that overflow, underflow, or are not finite
+# (i) Floating-point limits: numbers that overflow, underflow, or are not finite
 
 PUSH_DIRECTION = np.array([1.0, 0.0, 0.0])
 """Direction (3,) of the rail on which the block moves."""
@@ -176,7 +176,7 @@ PUSH_DURATION = 1.0
 
 VELOCITY_BOUND = Bound(
     "velocity error",
-    "rel",
+    "relative",
     survives=1e-6,
     degrades=1e-2,
     reason="as accurate as for usual numbers; underflow to zero gives 1",
@@ -260,7 +260,7 @@ WITH_ANSWER: dict[str, tuple[float, float]] = {
 
 
 def floating_point_cases(full: bool, engines: Sequence[Engine]) -> Iterator[Case]:
-    """Yield the cases of topic (k), all of them or (unless `full`) those of the typical settings."""
+    """Yield the cases of topic (i), all of them or (unless `full`) those of the typical settings."""
     for setting in settings_of(engines, "numbers" if full else None):
         for name, (_, texts) in WITHOUT_ANSWER.items():
             yield Case(

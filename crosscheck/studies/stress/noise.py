@@ -3,7 +3,7 @@
 Overconstrained mechanisms move only if their dimensions are exact, such as parallel axes. With rounded
 numbers an engine must recognize redundant constraints, or the mechanism locks. Each case compares the motion
 of a noisy mechanism, in one engine at one setting, with the motion of the exact mechanism. `topics.py` lists
-these cases as topic (l).
+these cases as topic (j).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Stress cases, topic (j): equations of motion of all engines for random mechanisms at random states.
+"""Stress cases, topic (h): equations of motion of all engines for random mechanisms at random states.
 
 The states are consistent: they satisfy all constraints. At each state the equations of an engine are compared
 with newton_euler's equations in joint coordinates, as `crosscheck run` does: masses, kinematics,
@@ -76,7 +76,7 @@ def compared_systems(engines: Sequence[Engine]) -> tuple[Setting, ...]:
 
 
 def cases(full: bool, engines: Sequence[Engine]) -> Iterator[Case]:
-    """Yield the cases of topic (j): 1000 mechanisms, or (unless `full`) 40 mechanisms."""
+    """Yield the cases of topic (h): 1000 mechanisms, or (unless `full`) 40 mechanisms."""
     count = 1000 if full else 40
     for start in range(0, count, MECHANISMS_PER_CASE):
         numbers = range(start, start + MECHANISMS_PER_CASE)

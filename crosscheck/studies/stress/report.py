@@ -3,7 +3,8 @@
 A case measures one value of one engine, such as MuJoCo, at one setting; a bound judges the
 value. A case passes if the value is within the bound; a case without an answer passes if the engine raises an
 error. A topic is a group of cases with a letter as its name. Results of cases go in. A report for the
-terminal, `stress.json` and `stress.md` come out. A table row is a topic or a case, a column is an engine.
+terminal, `stress.json` and `stress.md` come out. A row of the first table is a topic, and a column is an
+engine. Each topic has tables of its bounds, of its settings, and of the cases that do not pass.
 """
 
 from __future__ import annotations
@@ -82,9 +83,8 @@ def report(
     for letter, topic in TOPICS.items():
         of_topic = [result for result in results if result.case.topic == letter]
         if of_topic:
-            bounds = dict.fromkeys(map(_bound, of_topic))
-            parts.append(Lines(f"bounds of ({letter})", list(bounds), folded=True))
-            parts.append(_cases(f"({letter}) {topic.title}", of_topic, _engines(of_topic)))
+            parts += [_bounds(letter, of_topic), _settings(f"({letter}) {topic.title}", of_topic)]
+            parts += _not_passed(letter, of_topic)
     passes, expressed = (sum(getattr(each, name) for each in results) for name in ("passes", "expressed"))
     verdict = f"{passes} of {expressed} cases pass"
     if other := len(results) - expressed:
@@ -127,40 +127,48 @@ def _not_expressed(results: Sequence[CaseResult]) -> Iterator[Table]:
         yield Table("not expressed", heads, rows)
 
 
-def _bound(result: CaseResult) -> str:
-    """Format the bound of a case with its reason."""
-    bound = result.case.bound
-    what = f"{bound.quantity} {bound}" if bound.has_answer else "cases without an answer"
-    return f"{what}: {bound.reason}"
-
-
-def _cases(title: str, results: Sequence[CaseResult], engines: Sequence[str]) -> Table:
-    """Tabulate cases: a row for each case that does not pass in every engine, and one row for the others.
-
-    The tests of several engines or settings with the same name are one case of the table.
-    """
-    # the last column is below the others on narrow screens; a folded table is shown on demand
-    heads = [*text_columns("case"), *number_columns(*engines), Column("not passed", below=True)]
+def _bounds(letter: str, results: Sequence[CaseResult]) -> Table:
+    """Tabulate the bounds of a topic: a row for each quantity and reason."""
+    bounds = {result.case.bound for result in results}
+    limits: dict[tuple[str, str], list[str]] = {}
+    for bound in sorted(bounds, key=lambda bound: (not bound.has_answer, bound.survives)):
+        unit = f", {bound.unit}" if bound.unit else ""
+        quantity = f"{bound.quantity}{unit}" if bound.has_answer else "cases without an answer"
+        limits.setdefault((quantity, bound.reason), []).append(str(bound) if bound.has_answer else "an error")
     rows: Rows = []
-    not_passed = dict.fromkeys(
-        result.case.name for result in results if result.expressed and not result.passes
-    )
-    for name in not_passed:
-        of_case = [result for result in results if result.case.name == name]
-        failing = "; ".join(
-            _failure_text(result) for result in of_case if result.expressed and not result.passes
-        )
-        rows.append([name, *(_passes(of_case, engine) for engine in engines), failing])
-    if others := [each for each in results if each.case.name not in not_passed and each.expressed]:
-        count = len({result.case.name for result in others})
-        rows.append([f"{count} others", *(_passes(others, engine) for engine in engines), ""])
-    return Table(title, heads, rows, folded=True)
+    for (quantity, reason), texts in limits.items():
+        passes = texts[0] if texts[0] == texts[-1] else f"{texts[0]} to {texts[-1].split()[-1]}"
+        rows.append([quantity, passes, reason])
+    return Table(f"bounds of ({letter})", text_columns("quantity", "passes", "reason"), rows, folded=True)
 
 
-def _failure_text(result: CaseResult) -> str:
-    """Format engine, setting, verdict and value of a case that does not pass."""
-    setting, value = result.case.setting, "" if result.value is None else f" {result.value:.1e}"
-    return f"{setting.engine}, {setting}: {result.verdict}{value}"
+def _settings(title: str, results: Sequence[CaseResult]) -> Table:
+    """Tabulate the numbers of passed cases: a row for each setting of an engine."""
+    settings: dict[tuple[str, str], list[CaseResult]] = {}
+    for result in results:
+        if result.expressed:
+            setting = result.case.setting
+            settings.setdefault((setting.engine, str(setting)), []).append(result)
+    rows: Rows = [
+        [engine, setting, _passes(settings[engine, setting], engine)]
+        for engine in _engines(results)
+        for name, setting in settings
+        if name == engine
+    ]
+    return Table(title, [*text_columns("engine", "setting"), *number_columns("passed")], rows, folded=True)
+
+
+def _not_passed(letter: str, results: Sequence[CaseResult]) -> Iterator[Table]:
+    """Tabulate the cases that do not pass, one per row, if there are any."""
+    rows: Rows = []
+    names = list(dict.fromkeys(result.case.name for result in results))
+    for result in sorted(results, key=lambda result: names.index(result.case.name)):
+        if result.expressed and not result.passes:
+            setting, value = result.case.setting, "" if result.value is None else f"{result.value:.1e}"
+            rows.append([result.case.name, setting.engine, str(setting), result.verdict, value])
+    if rows:
+        heads = [*text_columns("case", "engine", "setting", "result"), *number_columns("value")]
+        yield Table(f"not passed in ({letter})", heads, rows, folded=True)
 
 
 def _passes(results: Sequence[CaseResult], engine: str) -> str:

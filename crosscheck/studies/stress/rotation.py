@@ -1,4 +1,4 @@
-"""Stress cases of topic (i): rotation by half a turn or by whole turns, few or many, and at high speeds.
+"""Stress cases of topic (g): rotation by half a turn or by whole turns, few or many, and at high speeds.
 
 Topics of stress tests have letters, see `topics.py`. A case measures one value at one setting: an engine
 with its options. A bound judges the value. Free symmetric tops and a hinge under PD control are compared with
@@ -51,7 +51,7 @@ HINGE_TURNS = (0.499, 0.5, 0.501, 1.0, 10.0, 1e3)
 
 TORQUE_BOUND = Bound(
     "torque error",
-    "rel",
+    "relative",
     survives=1e-6,
     degrades=1e-2,
     reason="1e-6 is invisible in a plot; one miscounted turn of 1000 gives 1e-3",
@@ -78,7 +78,7 @@ its angle is x(t) = X (1 - (1 + 10 t) exp(-10 t)) for the target X."""
 
 
 def cases(full: bool, engines: Sequence[Engine]) -> Iterator[Case]:
-    """Yield the cases of topic (i), all of them or (unless `full`) the short form."""
+    """Yield the cases of topic (g), all of them or (unless `full`) the short form."""
     # Free tops, against the closed form. Engines with a fixed step also run with steps of 0.1 rad above
     # 100 rad/s; runs of slow ones are shorter at the highest speed. A free top has no joint to stabilize,
     # only the norm of its quaternion: "baumgarte" controls the norm in the Cartesian equations, all others

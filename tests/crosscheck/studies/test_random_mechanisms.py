@@ -169,5 +169,5 @@ def test_every_mechanism_has_a_case_of_every_system():
 
 @pytest.mark.slow
 def test_a_thousand_mechanisms():
-    rows = stress("j", True, [*ENGINES.values()], lambda line: None)
+    rows = stress("h", True, [*ENGINES.values()], lambda line: None)
     assert [row for row in rows if not row.passes] == []
