@@ -10,6 +10,7 @@ from typing import Any, Unpack
 
 from newton_euler.arguments import checked
 from newton_euler.integrators.options import (
+    RUN_ARGUMENTS,
     IntegratorName,
     Options,
     StabilizationName,
@@ -51,7 +52,7 @@ def simulate(
     from urdf.dynamics import PinocchioSystem
 
     alpha = baumgarte_alpha(stabilization, alpha)  # 0 without Baumgarte stabilization
-    options = replace(Options.of(integrator, control), projection=stabilization == "projection")
+    options = replace(Options.of(integrator, control, RUN_ARGUMENTS), projection=stabilization == "projection")
     settings: dict[str, Any] = {"stabilization": stabilization}  # to be stored in the trajectory
     if stabilization == "baumgarte":
         settings["alpha"] = alpha

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypedDict, get_args
 
@@ -41,6 +42,9 @@ feedback of the constraint violation, or none."""
 
 STABILIZATIONS: tuple[StabilizationName, ...] = get_args(StabilizationName)
 """All stabilizations that a run may name."""
+
+RUN_ARGUMENTS = ("integrator", "stabilization", "alpha")
+"""Keyword arguments of `newton_euler.simulate` and of similar functions, in addition to `StepControl`."""
 
 PAPER_ALPHA = 10.0
 """Default gain alpha of Baumgarte stabilization, 1/s: feedback 2 alpha of the velocity error and alpha^2 of
@@ -142,15 +146,20 @@ class Options:
             raise OptionError("step", self.step, f"none: {self.integrator} chooses its own steps")
 
     @classmethod
-    def of(cls, integrator: str, control: StepControl) -> Options:
+    def of(cls, integrator: str, control: StepControl, others: Sequence[str] = ()) -> Options:
         """Make options from the name of an integrator and keyword arguments.
+
+        Args:
+            integrator: one of `INTEGRATORS`.
+            control: keyword arguments that control the steps.
+            others: further keyword arguments that the caller takes, listed if one of `control` is unknown.
 
         Raises:
             UnknownNameError: if there is no integrator or no option of this name.
             OptionError: if a value is impossible, or if tolerances are given for fixed steps.
         """
         check_choice("integrator", integrator, INTEGRATORS)
-        check_choices("option", control, StepControl.__annotations__)
+        check_choices("option", control, (*others, *StepControl.__annotations__))
         for name in ("rtol", "atol") if integrator in FIXED else ():
             if name in control:
                 raise OptionError(name, control[name], f"none: {integrator} takes fixed steps")

@@ -36,6 +36,7 @@ from newton_euler.errors import (
     quoted,
 )
 from newton_euler.integrators.options import (
+    RUN_ARGUMENTS,
     FormulationName,
     IntegratorName,
     Options,
@@ -232,7 +233,7 @@ def make_batch(
 ) -> Batch:
     """Run a scene many times like `simulate_batch`, without its warnings."""
     # check options, states and control laws
-    options = Options.of(integrator, control)
+    options = Options.of(integrator, control, ("formulation", *RUN_ARGUMENTS))
     options.check_steps(scene.duration)
     parameters = dict(parameters or {})
     are_states = isinstance(states, list | tuple) and (

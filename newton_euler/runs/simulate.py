@@ -31,6 +31,7 @@ from newton_euler.equations.redundancy import NearlyRedundant, inherit_mobility,
 from newton_euler.equations.system import Observation, System, at_time
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError, OptionError, RoundOffWarning
 from newton_euler.integrators.options import (
+    RUN_ARGUMENTS,
     FormulationName,
     IntegratorName,
     Options,
@@ -95,7 +96,7 @@ def simulate(
         >>> run.settings["formulation"], run.position.shape
         ('cartesian', (1001, 2, 3))
     """
-    options = Options.of(integrator, control)
+    options = Options.of(integrator, control, ("formulation", *RUN_ARGUMENTS))
     check_formulation(formulation)
     compiled = _compiled(scene, formulation, stabilization, baumgarte_alpha(stabilization, alpha))
     compiled.warn()

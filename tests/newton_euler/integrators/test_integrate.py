@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +17,7 @@ from newton_euler import Body, Mechanism
 from newton_euler.compiled.evaluated import integrate
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import OptionError, UnknownNameError
-from newton_euler.integrators.options import INTEGRATORS, STABILIZATIONS, Options
+from newton_euler.integrators.options import INTEGRATORS, STABILIZATIONS, Options, StepControl
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.runs.assemble import initial_state
@@ -133,6 +134,16 @@ def test_impossible_options_are_refused(options, message):
         with pytest.raises((OptionError, UnknownNameError)) as caught:
             simulate(pendulum(), **options)
         assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("simulate", [newton_euler.simulate, newton_euler.simulate_batch, urdf.simulate])
+def test_an_unknown_option_is_answered_by_all_keyword_arguments(simulate):
+    with pytest.raises(UnknownNameError) as caught:
+        simulate(pendulum(), alhpa=5.0)
+    others = {"scene", "states", "parameters", "threads", "control"}
+    keywords = {*inspect.signature(simulate).parameters, *StepControl.__annotations__} - others
+    assert set(caught.value.valid) == keywords
+    assert "did you mean 'alpha'" in str(caught.value)
 
 
 def test_a_run_that_gets_nowhere_says_so():
