@@ -15,6 +15,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
 
 from crosscheck.compare.check import (
     CONSTRAINT_VIOLATION,
@@ -51,6 +54,7 @@ def diagnose(
     soft_engines: Collection[str] = (),
     nearly_redundant: Sequence[NearlyRedundant] = (),
     without_equations: Collection[str] = (),
+    ends: Mapping[str, float] = MappingProxyType({}),
 ) -> tuple[Diagnosis, ...]:
     """Find the outlier at the first level with a difference, then the outlier of the remaining ones, and so
     on.
@@ -64,6 +68,7 @@ def diagnose(
         nearly_redundant: nearly redundant constraints of the scene.
         without_equations: engines whose equations were not compared. Differences of their runs may come from
             their models.
+        ends: times, s, at which runs stopped early, by engine. A run is no evidence about later times.
 
     Returns:
         One diagnosis for each outlier, in the order of their levels. The last diagnosis may have no outlier.
@@ -75,7 +80,7 @@ def diagnose(
     names = [*engines, *([FILE] if any(FILE in check.between for check in judged) else [])]
     wrong = {check.engine for check in reference_checks if not check.agrees}
     diagnoses = []
-    while (diagnosis := _first_difference(names, judged, wrong)) is not None:
+    while (diagnosis := _first_difference(names, judged, wrong, ends)) is not None:
         if diagnosis.level in LEVELS_OF_RUNS and diagnosis.quantity != MOMENTUM_BALANCE:
             # The equations agree, only runs differ: look for a cause in soft constraints
             drift = [
@@ -152,7 +157,7 @@ def _renamed(check: Check, new_names: Mapping[str, str]) -> Check:
 
 
 def _first_difference(
-    names: Sequence[str], checks: Sequence[Check], wrong: Collection[str]
+    names: Sequence[str], checks: Sequence[Check], wrong: Collection[str], ends: Mapping[str, float]
 ) -> Diagnosis | None:
     """Make the diagnosis at the first level at which any of the participants differ; None if all agree.
 
@@ -160,6 +165,7 @@ def _first_difference(
         names: participants that remain.
         checks: judged checks.
         wrong: engines that differ from reference values.
+        ends: times, s, at which runs stopped early, by engine.
     """
     with_formulations = {*names, *(FORMULATION_NAMES if SOLVER_NAME in names else ())}
     checks = [check for check in checks if set(check.between) <= with_formulations]
@@ -181,7 +187,7 @@ def _first_difference(
     ]
     failed_pairs = [check for check in failed_at_level if len(check.between) == 2]
     if failed_pairs:
-        return _pairs_diagnosis(names, checks, failed_pairs, wrong)
+        return _pairs_diagnosis(names, checks, failed_pairs, wrong, ends if level in LEVELS_OF_RUNS else {})
     # Only checks of single participants fail
     suspects = _ordered(names, (check.between[0] for check in failed_at_level))
     others = [name for name in names if name not in suspects]
@@ -225,7 +231,11 @@ def _file_diagnosis(names: Sequence[str], checks: Sequence[Check]) -> Diagnosis 
 
 
 def _pairs_diagnosis(
-    names: Sequence[str], checks: Sequence[Check], failed: Sequence[Check], wrong: Collection[str]
+    names: Sequence[str],
+    checks: Sequence[Check],
+    failed: Sequence[Check],
+    wrong: Collection[str],
+    ends: Mapping[str, float],
 ) -> Diagnosis:
     """Make the diagnosis at a level at which pairs of participants differ.
 
@@ -234,6 +244,7 @@ def _pairs_diagnosis(
         checks: judged checks of these participants.
         failed: failing checks of pairs, all at one level.
         wrong: engines that differ from reference values.
+        ends: times, s, at which runs stopped early, by engine; empty at levels of equations.
     """
     level = failed[0].level
     pairs = {frozenset(check.between) for check in checks if check.level == level and len(check.between) == 2}
@@ -249,16 +260,18 @@ def _pairs_diagnosis(
         return _outlier_diagnosis(alone[0], present, rest, checks, failed, "others")
     # Two that differ from each other only: the outlier is much farther from all others than the other one
     suspects = _ordered(names, (name for pair in differing_pairs for name in pair))
-    others = [name for name in present if name not in suspects]
+    # Others are runs with the same end as both suspects: checks up to another time are not comparable
+    suspects_end = {ends.get(name, np.inf) for name in suspects}
+    others = [name for name in present if name not in suspects and {ends.get(name, np.inf)} == suspects_end]
     if len(suspects) == 2 and others:
         for outlier, other in (suspects, suspects[::-1]):
             if all(_is_nearer(other, outlier, third, failed[0], checks) for third in others):
                 return _outlier_diagnosis(outlier, suspects, [other, *others], checks, failed, "nearness")
     # A single one that fails a check of one participant (such as its energy balance), or reference values
-    decided = _decided_by_single_check(suspects, checks, level, wrong)
+    decided = _decided_by_single_check(suspects, checks, level, wrong, ends)
     if decided is not None:
         outlier, decided_by = decided
-        rest = [name for name in present if name != outlier]
+        rest = _ordered(names, {*suspects, *others} - {outlier})
         return _outlier_diagnosis(outlier, suspects, rest, checks, failed, decided_by)
     return _diagnosis("", suspects, others, failed[0], checks)
 
@@ -294,18 +307,24 @@ def _is_nearer(near: str, far: str, third: str, check: Check, checks: Sequence[C
 
 
 def _decided_by_single_check(
-    names: Sequence[str], checks: Sequence[Check], level: str, wrong: Collection[str]
+    names: Sequence[str],
+    checks: Sequence[Check],
+    level: str,
+    wrong: Collection[str],
+    ends: Mapping[str, float],
 ) -> tuple[str, str] | None:
     """Find the only one of several differing participants that fails a check of one participant.
 
     Differences at levels of equations are decided by momentum balances only: an exact model may be integrated
-    with a large error, so checks of runs are no evidence about models.
+    with a large error, so checks of runs are no evidence about models. A failure after the first end of the
+    runs is no evidence about their difference.
 
     Args:
         names: the differing participants.
         checks: judged checks.
         level: level of the difference.
         wrong: engines that differ from reference values.
+        ends: times, s, at which runs stopped early, by engine; empty at levels of equations.
 
     Returns:
         The participant and the quantity of its failing check, or "reference" for the only participant that
@@ -320,10 +339,14 @@ def _decided_by_single_check(
         # the momentum balance at levels of equations, all other checks at levels of runs
         and (check.quantity == MOMENTUM_BALANCE) == (level not in LEVELS_OF_RUNS)
     }
+    first_end = min(ends.get(name, np.inf) for name in names)
     if len(failed) == 1:
-        return next(iter(failed.items()))
-    suspects = [name for name in names if name in wrong]
-    return (suspects[0], "reference") if len(suspects) == 1 else None
+        (outlier, quantity), *_ = failed.items()
+    elif len(suspects := [name for name in names if name in wrong]) == 1:
+        outlier, quantity = suspects[0], "reference"
+    else:
+        return None
+    return (outlier, quantity) if ends.get(outlier, np.inf) <= first_end else None
 
 
 def _diagnosis(

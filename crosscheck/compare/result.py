@@ -330,11 +330,17 @@ def diagnosed(
 
     Soft constraints do not explain differences of an engine that stopped.
     """
-    stopped = {stop.what for stop in stops}
-    soft = [each.name for each in engines if each.soft_constraints and each.name not in stopped]
     names = [each.name for each in engines]
-    nearly_redundant = mobility(scene).nearly
-    return diagnose(names, checks, reference_checks, soft, nearly_redundant, by_runs_only(names, checks))
+    ends = {stop.what: stop.time or 0.0 for stop in stops if stop.what in names}
+    return diagnose(
+        names,
+        checks,
+        reference_checks,
+        soft_engines=[each.name for each in engines if each.soft_constraints and each.name not in ends],
+        nearly_redundant=mobility(scene).nearly,
+        without_equations=by_runs_only(names, checks),
+        ends=ends,
+    )
 
 
 def misread(checks: Sequence[Check]) -> bool:

@@ -22,6 +22,7 @@ import numpy as np
 from newton_euler.compiled.callbacks import Callbacks, PythonCallback, vector_at
 from newton_euler.compiled.constraint_groups import constraint_groups, group_places
 from newton_euler.compiled.equations import OPEN_TOLERANCE
+from newton_euler.compiled.failures import least_independent, near_singular
 from newton_euler.compiled.records import dop853_of, fixed_step_of, radau_of
 from newton_euler.compiled.run import METHODS, native_method
 from newton_euler.equations.applied_forces import (
@@ -33,14 +34,15 @@ from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.dense import singular_values
 from newton_euler.equations.load_friction import jam
 from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out
-from newton_euler.equations.system import System, rate_of_phi
+from newton_euler.equations.relative import Relative
+from newton_euler.equations.system import System, at_time, rate_of_phi
 from newton_euler.errors import AssemblyError
 from newton_euler.integrators.constraint_ratio import no_ratio
 from newton_euler.integrators.dense_projection import RESIDUAL_ROUND_OFF, closing_of
 from newton_euler.integrators.options import FIXED, Options
 from newton_euler.integrators.projection import worst_joint
 from newton_euler.integrators.row_exchange import no_exchange
-from newton_euler.integrators.singular import DENSE_PIVOT_RATIO
+from newton_euler.integrators.singular import DENSE_PIVOT_RATIO, NEAR_PIVOT_RATIO
 from newton_euler.integrators.status import Status
 from newton_euler.integrators.stepper import (
     COUNTS,
@@ -120,7 +122,7 @@ def integrate(
         native_method(integrate)(integrate, evaluated.equations, table, method)
     found = {"steps": int(evaluated.counts[Count.STEPS]), "evaluations": evaluated.evaluations}
     last = start[:-1]  # the integrator has overwritten `start` with the end of the run
-    stopped = evaluated.failure(last, options.integrator, max_steps)
+    stopped = evaluated.failure(last, max_steps)
     return states[: int(evaluated.counts[Count.ROWS_WRITTEN])], found, stopped
 
 
@@ -145,16 +147,14 @@ class EvaluatedSystem(Callbacks):
         self._kept = np.delete(np.arange(len(system.phi_units)), rows_left_out(system))
         self._phi_units = system.phi_units[self._kept]
         self._rank = constraint_rank(system)
+        self._options = options
         self.evaluations = 0
         self._reference_ratio = 0.0
         # DOP853 alone avoids steps that end at a singular configuration, where a run could continue on
         # another branch of the motion; without projection it does not look for singular configurations
         watches = options.integrator == "DOP853" and options.projection and self._rank > 0
         if watches:
-            states = mobility(system.scene).states
-            self._reference_ratio = max(
-                (self._ratio(self._jacobian(system.coordinates(state)[0])) for state in states), default=0.0
-            )
+            self._reference_ratio = self._largest_ratio()
         # marks of the first elements of quaternions, which the integrator normalizes
         n, nq, nv, rows = system.nq + system.nv, system.nq, system.nv, len(self._kept)
         marks = np.zeros(n)
@@ -263,6 +263,12 @@ class EvaluatedSystem(Callbacks):
         rows = self._system.phi_jacobian(q)[self._kept]
         return np.asarray(rows * self._system.velocity_units / self._phi_units[:, None])
 
+    def _largest_ratio(self) -> float:
+        """Compute the largest ratio, see `_ratio`, in the sample configurations of the scene."""
+        system = self._system
+        states = mobility(system.scene).states
+        return max((self._ratio(self._jacobian(system.coordinates(each)[0])) for each in states), default=0.0)
+
     def _ratio(self, jacobian: Array) -> float:
         """Compute the squared ratio of the smallest to the largest singular value of a Jacobian (k, nv).
 
@@ -329,12 +335,17 @@ class EvaluatedSystem(Callbacks):
         mass = system.mass_and_force(q, np.zeros(len(v)))[0] * np.outer(units, units)
         return np.concatenate([phi, rates, jacobian.ravel(), mass.ravel()])
 
-    def failure(self, last: Array, integrator: str, max_steps: int) -> IntegrationError | None:
+    def _is_near_singular(self, q: Array) -> bool:
+        """Return True if the pivot ratio at q (nq,) is that of a configuration near a singular one."""
+        if self._rank == 0 or not np.isfinite(q).all():
+            return False
+        return self._ratio(self._jacobian(q)) < NEAR_PIVOT_RATIO * self._largest_ratio()
+
+    def failure(self, last: Array, max_steps: int) -> IntegrationError | None:
         """Explain why a run ended early; return None for a complete run.
 
         Args:
             last: (n,) the last state (q, v).
-            integrator: name of the integrator.
             max_steps: number of steps at which the run stops.
 
         Raises:
@@ -362,5 +373,13 @@ class EvaluatedSystem(Callbacks):
             if jammed := jam(system.scene, friction, [last]):
                 reason = jammed
             elif status in (Status.TOO_MANY_STEPS, Status.STEP_TOO_SMALL):
-                reason = too_many_or_small_steps(reason, system.scene, around, integrator)
+                if self._is_near_singular(last[: system.nq]):
+                    # the joint is found in joint coordinates, whose constraint rows have names of joints
+                    relative = at_time(Relative(system.scene), time)
+                    rows = sorted({*range(len(relative.phi_units))} - {*rows_left_out(relative)})
+                    q, _ = relative.coordinates(state)
+                    joint, value = least_independent(relative, q, rows, constraint_rank(relative))
+                    reason = near_singular(reason, joint, value, self._options)
+                else:
+                    reason = too_many_or_small_steps(reason, system.scene, around, self._options.integrator)
             return IntegrationError(time, with_likely_causes(system.scene, state, reason, around))

@@ -159,6 +159,37 @@ def test_one_of_two_is_odd_that_is_far_from_a_third_whose_tolerance_is_wide():
     assert found.who == f"{NE} and {PIN} differ; {MJ} agrees with both"
 
 
+@pytest.mark.parametrize(
+    ("ends", "outlier"),
+    [({}, MJ), ({PIN: 0.24}, ""), ({NE: 0.92}, ""), ({MJ: 0.92}, ""), ({MJ: 0.9, NE: 0.9, PIN: 0.9}, MJ)],
+)
+def test_a_run_that_stopped_decides_nothing_about_later_times(ends, outlier):
+    """The third is near to one of two until it stops; what the two do later is beyond its checks."""
+    rows = [
+        row("trajectories", (NE, MJ), 5.0),
+        row("trajectories", (NE, PIN), 0.01),
+        row("trajectories", (MJ, PIN), 0.5),
+    ]
+    (found,) = diagnose(NAMES, rows, ends=ends)
+    assert (found.outlier, found.fault) == (outlier, "integration" if outlier else "")
+    if not outlier:
+        assert found.differing == (NE, MJ)
+        assert found.agree == ()
+        assert found.who.endswith("no third engine decides which is right")
+
+
+@pytest.mark.parametrize(("ends", "outlier"), [({}, MJ), ({MJ: 0.9}, MJ), ({NE: 0.9}, "")])
+def test_what_an_engine_fails_after_the_other_has_stopped_is_no_evidence(ends, outlier):
+    rows = [row("trajectories", (NE, MJ), 5.0), row("energy", (NE,), 0.1), row("energy", (MJ,), 5.0)]
+    assert diagnose((NE, MJ), rows, ends=ends)[0].outlier == outlier
+
+
+def test_ends_of_runs_do_not_matter_for_equations():
+    wide = row("dynamics", (NE, MJ), 0.2), row("dynamics", (MJ, PIN), 5.0, 10.0)
+    (found,) = diagnose(NAMES, [*wide, row("dynamics", (NE, PIN), 5.0)], ends={MJ: 0.1})
+    assert (found.outlier, found.decided_by) == (PIN, "nearness")
+
+
 def test_an_engine_that_fails_by_itself_is_odd():
     rows = [*pairs("trajectories", 0.1, 0.1, 0.1), *(row("drift", (name,), 0.1) for name in (NE, PIN))]
     (found,) = diagnose(NAMES, [*rows, row("drift", (MJ,), 5.0)])
