@@ -52,7 +52,8 @@ def simulate(
     from urdf.dynamics import PinocchioSystem
 
     alpha = baumgarte_alpha(stabilization, alpha)  # 0 without Baumgarte stabilization
-    options = replace(Options.of(integrator, control, RUN_ARGUMENTS), projection=stabilization == "projection")
+    projection = stabilization == "projection"
+    options = replace(Options.of(integrator, control, RUN_ARGUMENTS), projection=projection)
     settings: dict[str, Any] = {"stabilization": stabilization}  # to be stored in the trajectory
     if stabilization == "baumgarte":
         settings["alpha"] = alpha
