@@ -74,6 +74,9 @@ VERDICTS = (*(outcome.value for outcome in Outcome), REFUSED, TOO_LONG)
 STATUS_WITH_SUMMARY = (ExitStatus.AGREE, ExitStatus.DISAGREE, ExitStatus.UNFINISHED, ExitStatus.REDUCED)
 """Exit statuses of runs that write a summary."""
 
+UNSPECIFIC_NAMES = ("robot", "model", "robots", "urdf", "xml", "mjcf", "assets")
+"""Names of files and folders, in small letters, that do not name a robot."""
+
 MAX_REASON_LENGTH = 240
 """Largest number of characters of a reason in the table."""
 
@@ -85,7 +88,7 @@ class ListedModel(BaseModel):
         file: path of the file in its repository.
         options: options of the file, as given to `crosscheck run` by `--set`.
         why: reason why the verdict is not AGREE, written by a person.
-        ours: True if that reason is an error or a limitation of crosscheck, not of the file.
+        ours: True if that reason is a fault or a limitation of crosscheck, not of the file.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -295,51 +298,52 @@ def _fates(report: ImportReport) -> dict[str, int]:
 
 
 def table(repositories: Sequence[Repository], found: dict[str, ModelResult]) -> Iterator[str]:
-    """Yield the lines of Markdown: counts of verdicts, and a table of all models in the order of the list.
+    """Yield the lines of Markdown: counts of verdicts, and a table of all models, sorted by robot.
 
     Args:
         repositories: the list of models.
         found: results by path OWNER/NAME/FILE.
     """
-    # Counts of verdicts, and of elements by the result of their import. An element is "not watched" if no
-    # run was examined for whether the element would have acted
-    pairs = [(entry, found.get(f"{r.repository}/{entry.file}")) for r in repositories for entry in r.files]
-    known = [(entry, result) for entry, result in pairs if result is not None]
-    counts = Counter(result.verdict for _, result in known)
+    # Counts of verdicts, and of elements by the result of their import
+    known = [
+        (repository, entry, found[name])
+        for repository in repositories
+        for entry in repository.files
+        if (name := f"{repository.repository}/{entry.file}") in found
+    ]
+    counts = Counter(result.verdict for _, _, result in known)
     verdicts = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
-    ours = sum(entry.ours for entry, result in known if result.verdict != Outcome.AGREE)
+    ours = sum(entry.ours for _, entry, result in known if result.verdict != Outcome.AGREE)
     total = Counter[str]()
-    for _, result in known:
+    for _, _, result in known:
         total.update(result.fates)
-    yield f"{len(known)} models of {len(repositories)} repositories: {verdicts}; {ours} of these for a reason"
-    yield f"that is crosscheck's own. Of their elements {total['exactly']} are carried over exactly,"
-    yield f"{total['inactive']} left out and inactive in the run,"
-    yield f"{total['left out']} left out and active or not watched."
+    yield f"{len(known)} models of {len(repositories)} repositories: {verdicts}. A fault or a limitation of"
+    yield f"crosscheck is the reason in {ours} of them. {total['exactly']} elements of the files are imported"
+    yield f"exactly, {total['inactive']} are inactive, and {total['left out']} are left out."
     yield ""
     # Kinds of elements that act first in models that are only partly simulated (reduced)
-    reduced = [result.first for _, result in known if result.verdict == Outcome.AGREE_ON_A_REDUCED_MODEL]
+    reduced = [result.first for _, _, result in known if result.verdict == Outcome.AGREE_ON_A_REDUCED_MODEL]
     if reduced:
-        yield "What acts first in models that are reduced:"
-        yield ""
         kinds: Rows = [[kind, str(count)] for kind, count in Counter(reduced).most_common()]
         yield from markdown_table(Table("", text_columns("kind of element", "models"), kinds))
-        yield ""
-    # One row for each model, below the name of its repository
+        yield "\nTable: first element that acts and is not simulated, in models that agree as a reduced model.\n"
     rows: Rows = []
-    for repository in repositories:
-        rows.append(repository.repository)
-        for entry in repository.files:
-            model = found.get(f"{repository.repository}/{entry.file}")
-            if model is None:
-                continue
-            options = ", ".join(f"{k}={v}" for k, v in (repository.options | entry.options).items())
-            verdict = model.verdict
-            if reason := _shortened(entry.why or model.reason):
-                verdict += f": {reason}"
-            time = f"{model.processor_time:.0f}"
-            rows.append([entry.file, options, verdict, model.covered, model.lacks, time])
-    heads = text_columns("model", "options", "verdict", "covered", "of the file", "processor time, s")
-    yield from markdown_table(Table("", heads, rows))
+    for repository, entry, result in sorted(known, key=lambda each: _robot(each[1].file).lower()):
+        options = ", ".join(f"{k}={v}" for k, v in (repository.options | entry.options).items())
+        reason, time = _shortened(entry.why or result.reason), f"{result.processor_time:.0f}"
+        file = f"{repository.repository}: {entry.file}"
+        rows.append(
+            [_robot(entry.file), result.verdict, reason, result.covered, result.lacks, time, options, file]
+        )
+    heads = ("robot", "verdict", "reason", "covered", "not simulated", "time, s", "options", "file")
+    yield from markdown_table(Table("", text_columns(*heads), rows))
+    yield "\nTable: verdicts of public models, sorted by robot."
+
+
+def _robot(file: str) -> str:
+    """Return a name of the robot of a file: that of the file, or of the folder of a file such as robot.xml."""
+    parts = [part for part in Path(file).with_suffix("").parts if part.lower() not in UNSPECIFIC_NAMES]
+    return parts[-1] if parts else Path(file).stem
 
 
 def own_runs(repositories: Sequence[Repository], found: dict[str, ModelResult]) -> Iterator[str]:

@@ -37,10 +37,7 @@ plus a fraction of the motion."""
 DIVERGED = "DIVERGED"
 """Word for a run that MuJoCo stops."""
 
-BAND_WORDS = {Band.ACCURATE: "ACCURATE", Band.USABLE: "OFF", Band.WRONG: "WRONG"}
-"""Words of the terminal for the bands of errors."""
-
-WORDS = (*BAND_WORDS.values(), DIVERGED)
+WORDS = (Band.ACCURATE, Band.USABLE, Band.WRONG, DIVERGED)
 """Words for runs, in the order of the counts in the table."""
 
 MIN_OPENING, MIN_LOOP_ANGLE = 1e-6, math.radians(1e-3)
@@ -102,7 +99,7 @@ def own_run_result(path: Path, summary: Path, script: Path) -> OwnRunResult | No
     opening = f"; loops open by {length(loops.opening)}" if loops.opening >= MIN_OPENING else ""
     opening += f"; loops turn by {angle(loops.angle)}" if loops.angle >= MIN_LOOP_ANGLE else ""
     return OwnRunResult(
-        word=DIVERGED if stopped else BAND_WORDS[Band(own_run["band"])],
+        word=DIVERGED if stopped else Band(own_run["band"]),
         settings=own_run["settings"],
         error=stopped or f"{sizes(error)}, {percent(error.relative)}{opening}",
         without=_without(own_run),
@@ -181,41 +178,38 @@ def _cause(own_run: Mapping[str, Any], by_position: bool) -> str:
 
 
 def own_run_table(rows: Sequence[tuple[str, str, OwnRunResult | str]]) -> Iterator[str]:
-    """Yield the lines of Markdown: counts of bands, the table of judged models, and the other models.
+    """Yield the lines of Markdown: counts of bands, tables of judged models, and the other models.
 
     Args:
         rows: heading of the repository, model, and its judgement or the reason why there is none.
     """
-    judged = [each for _, _, each in rows if isinstance(each, OwnRunResult)]
-    counts = Counter(each.word for each in judged)
+    judged = [(heading, model, each) for heading, model, each in rows if isinstance(each, OwnRunResult)]
+    counts = Counter(each.word for _, _, each in judged)
     listed = ", ".join(f"{counts[word]} {word}" for word in WORDS if counts[word])
-    repeats = sum(each.repeats for each in judged)
-    of_these = f"The engine alone repeats the errors of {repeats} of these."
-    yield f"Judged models: {len(judged)} ({listed}). {of_these}"
+    repeats = sum(each.repeats for _, _, each in judged)
+    yield f"{len(judged)} models are judged: {listed}. The engine alone repeats the errors of {repeats} of them."
     yield ""
-    cells: Rows = []
-    for heading, model, each in rows:
-        if not isinstance(each, OwnRunResult):
-            continue
-        if heading not in cells:
-            cells.append(heading)
-        remedies = "; or ".join(each.remedies) or ("none needed" if each.word == "ACCURATE" else "none found")
+    # errors, causes and remedies; then what was switched off, and the errors that the engine alone finds
+    errors: Rows = []
+    others: Rows = []
+    for heading, model, each in judged:
+        if heading not in errors:
+            errors.append(heading)
+            others.append(heading)
+        remedies = "; or ".join(each.remedies) or (
+            "none needed" if each.word == Band.ACCURATE else "none found"
+        )
+        errors.append([model, each.word, each.error, each.settings, each.cause, remedies])
         same = each.repeated if each.repeats else f"{each.repeated or 'ended early'} (differs)"
-        error = f"{each.word}: {each.error}"
-        cells.append([model, each.settings, error, each.without, each.cause, remedies, same])
-    heads = text_columns(
-        "model",
-        "settings of the file",
-        "error of its run",
-        "judged without",
-        "cause",
-        "remedy",
-        "engine alone",
-    )
-    yield from markdown_table(Table("", heads, cells))
-    others = [(f"{heading}: {model}", each) for heading, model, each in rows if isinstance(each, str)]
-    if others:
+        others.append([model, each.without, same])
+    heads = text_columns("model", "accuracy", "error", "settings of the file", "cause", "remedy")
+    yield from markdown_table(Table("", heads, errors))
+    yield "\nTable: errors of runs with the settings of the files, their causes and remedies.\n"
+    heads = text_columns("model", "switched off in the run", "error by the engine alone")
+    yield from markdown_table(Table("", heads, others))
+    yield "\nTable: elements that the judged runs leave out, and errors that the engine finds without crosscheck."
+    not_judged: Rows = [[f"{heading}: {model}", each] for heading, model, each in rows if isinstance(each, str)]
+    if not_judged:
         yield ""
-        yield "Not judged:"
-        yield ""
-        yield from markdown_table(Table("", text_columns("model", "reason"), [list(pair) for pair in others]))
+        yield from markdown_table(Table("", text_columns("model", "reason"), not_judged))
+        yield "\nTable: models that are not judged."

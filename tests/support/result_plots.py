@@ -75,13 +75,12 @@ def stress() -> Figure:
 
 def models() -> Figure:
     """Plot the verdicts of public models by repository, and what acts first in reduced models."""
-    table = page_table("models.md", "model", "options", "verdict")
+    table = page_table("models.md", "robot", "verdict")
     verdicts: dict[str, Counter[str]] = {}
-    for row in table.rows:
-        if row[0].startswith("**"):
-            counts = verdicts.setdefault(row[0].strip("*").partition("/")[2], Counter())
-        else:
-            counts[row[2].partition(":")[0]] += 1
+    for file, verdict in zip(table.column("file"), table.column("verdict"), strict=True):
+        repository = file.partition(": ")[0].partition("/")[2]
+        verdicts.setdefault(repository, Counter())[verdict] += 1
+    verdicts = dict(sorted(verdicts.items(), key=lambda each: each[0].lower()))
     colors = {
         "AGREE": GREEN,
         "AGREE ON A REDUCED MODEL": OTHER_COLORS[2],
@@ -114,26 +113,25 @@ LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "pm": 1e-12
 
 def own_runs() -> Figure:
     """Plot the errors of runs of public models with their settings, and what the remedies change."""
-    table = page_table("own_runs.md", "model", "settings of the file")
-    colors = {"ACCURATE": GREEN, "OFF": ORANGE, "WRONG": VERMILION}
+    table = page_table("own_runs.md", "model", "accuracy")
+    alone = page_table("own_runs.md", "model", "switched off in the run").column("error by the engine alone")
+    colors = {"ACCURATE": GREEN, "USABLE": ORANGE, "WRONG": VERMILION}
     errors, factors = [], []
     repository = ""
-    for row in table.rows:
-        word, _, error = row[2].partition(":")
-        if row[0].startswith("**"):
-            repository = row[0].strip("*").partition(" ")[0].partition("/")[2]
+    for (model, word, error, _, _, remedies), repeated in zip(table.rows, alone, strict=True):
+        if model.startswith("**"):
+            repository = model.strip("*").partition(" ")[0].partition("/")[2]
         if word not in colors:
             continue
         (percent,) = re.findall(r"([\d.]+) %", error)
-        *folders, file = row[0].removesuffix(".xml").split("/")
+        *folders, file = model.removesuffix(".xml").split("/")
         name = " ".join(filter(None, [folders[0] if repository == "mujoco_menagerie" else repository, file]))
         errors.append((float(percent), word, name))
-        alone = [text.split() for text in row[6].split(";")]
         costs = [
-            1.0 if "same" in each else numbers(each)[-1] for each in row[5].split("; or ") if "time" in each
+            1.0 if "same" in each else numbers(each)[-1] for each in remedies.split("; or ") if "time" in each
         ]
-        sizes = [float(value) * LENGTHS[unit] for value, unit, *_ in alone]
-        if len(sizes) == len(costs) + 1 and "differs" not in row[6]:
+        sizes = [float(value) * LENGTHS[unit] for value, unit, *_ in map(str.split, repeated.split(";"))]
+        if len(sizes) == len(costs) + 1 and "differs" not in repeated:
             factors += [(cost, sizes[0] / size, word) for cost, size in zip(costs, sizes[1:], strict=True)]
     errors.sort()
     figure = Figure(figsize=(8.0, 7.6), layout="constrained")
