@@ -326,7 +326,7 @@ def table(repositories: Sequence[Repository], found: dict[str, ModelResult]) -> 
     if reduced:
         kinds: Rows = [[kind, str(count)] for kind, count in Counter(reduced).most_common()]
         yield from markdown_table(Table("", text_columns("kind of element", "models"), kinds))
-        yield "\nTable: first element that acts and is not simulated, in models that agree as a reduced model.\n"
+        yield "\nTable: first element that acts and is not simulated, in reduced models that agree.\n"
     rows: Rows = []
     for repository, entry, result in sorted(known, key=lambda each: _robot(each[1].file).lower()):
         options = ", ".join(f"{k}={v}" for k, v in (repository.options | entry.options).items())
@@ -341,7 +341,7 @@ def table(repositories: Sequence[Repository], found: dict[str, ModelResult]) -> 
 
 
 def _robot(file: str) -> str:
-    """Return a name of the robot of a file: that of the file, or of the folder of a file such as robot.xml."""
+    """Return the name of the robot of a file: of the file, or of its folder for names such as robot.xml."""
     parts = [part for part in Path(file).with_suffix("").parts if part.lower() not in UNSPECIFIC_NAMES]
     return parts[-1] if parts else Path(file).stem
 

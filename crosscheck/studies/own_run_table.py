@@ -187,7 +187,8 @@ def own_run_table(rows: Sequence[tuple[str, str, OwnRunResult | str]]) -> Iterat
     counts = Counter(each.word for _, _, each in judged)
     listed = ", ".join(f"{counts[word]} {word}" for word in WORDS if counts[word])
     repeats = sum(each.repeats for _, _, each in judged)
-    yield f"{len(judged)} models are judged: {listed}. The engine alone repeats the errors of {repeats} of them."
+    yield f"{len(judged)} models are judged: {listed}."
+    yield f"The engine alone repeats the errors of {repeats} of them."
     yield ""
     # errors, causes and remedies; then what was switched off, and the errors that the engine alone finds
     errors: Rows = []
@@ -207,8 +208,10 @@ def own_run_table(rows: Sequence[tuple[str, str, OwnRunResult | str]]) -> Iterat
     yield "\nTable: errors of runs with the settings of the files, their causes and remedies.\n"
     heads = text_columns("model", "switched off in the run", "error by the engine alone")
     yield from markdown_table(Table("", heads, others))
-    yield "\nTable: elements that the judged runs leave out, and errors that the engine finds without crosscheck."
-    not_judged: Rows = [[f"{heading}: {model}", each] for heading, model, each in rows if isinstance(each, str)]
+    yield "\nTable: elements that the judged runs leave out, and errors found without crosscheck."
+    not_judged: Rows = [
+        [f"{heading}: {model}", each] for heading, model, each in rows if isinstance(each, str)
+    ]
     if not_judged:
         yield ""
         yield from markdown_table(Table("", text_columns("model", "reason"), not_judged))

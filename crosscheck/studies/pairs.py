@@ -83,14 +83,14 @@ class PairResult(BaseModel):
 
     Attributes:
         verdict: `SAME`, `SAME TO ROUNDING`, `DIFFERENT`, or `REFUSED` for a file that cannot be read.
-        text: the largest differences, or the error.
+        differences: the largest differences with their causes, or the error.
         motion: difference of the motions.
         run: largest distance of a body from its counterpart in a run from the same start.
         processor_time: of reading and comparing, s.
     """
 
     verdict: str
-    text: str
+    differences: list[str]
     motion: str
     run: str
     processor_time: float
@@ -110,7 +110,7 @@ def compare_pair(folder: Path, pair: ListedPair) -> PairResult:
     except (CrosscheckError, NewtonEulerError) as error:
         text = str(error).replace(f"{folder}/", "")
         return PairResult(
-            verdict=REFUSED, text=text, motion="", run="", processor_time=time.process_time() - start
+            verdict=REFUSED, differences=[text], motion="", run="", processor_time=time.process_time() - start
         )
     rows = comparison.differences
     texts = [sentence(row) for row in rows[:MAX_SENTENCES]]
@@ -118,7 +118,7 @@ def compare_pair(folder: Path, pair: ListedPair) -> PairResult:
         texts.append(f"{more} more")
     return PairResult(
         verdict=comparison.outcome.value,
-        text="; ".join(texts),
+        differences=texts,
         motion=_motion(comparison),
         run=_run(comparison),
         processor_time=time.process_time() - start,
@@ -159,24 +159,31 @@ def table(pairs: Sequence[ListedPair], found: dict[str, PairResult]) -> Iterator
     order = (*(outcome.value for outcome in outcomes), REFUSED)
     slowest = max((result.processor_time for result in found.values()), default=math.nan)
     yield f"{len(found)} pairs: {', '.join(f'{counts[each]} {each}' for each in order if counts[each])}."
-    yield f"The slowest took {slowest:.1f} s of processor time."
+    yield f"The slowest comparison took {slowest:.1f} s of processor time."
     yield ""
+    # one row for each difference; the other columns are those of the first difference
     rows: Rows = []
+    files: Rows = []
     for pair in pairs:
         result = found.get(pair.name)
         if result is None:
             continue
+        independent = "" if pair.independent is None else f"{pair.independent:.1e}"
+        cells = [pair.name, result.verdict, result.motion, result.run, independent]
+        for text in result.differences or [""]:
+            what, _, cause = text.partition("; ")
+            rows.append([*cells, what, cause])
+            cells = [""] * len(cells)
         places = [
             f"{each.repository} {each.commit[:SHORT_COMMIT]}: {each.file}"
             for each in (pair.first, pair.second)
         ]
-        independent = "" if pair.independent is None else f"{pair.independent:.1e}"
-        text = "; ".join(filter(None, [result.text, pair.why]))
-        rows.append([pair.name, *places, result.verdict, result.motion, result.run, independent, text])
-    heads = text_columns(
-        "pair", "first", "second", "verdict", "motion", "run", "engine alone", "largest differences"
-    )
+        files.append([pair.name, *places, pair.why])
+    heads = text_columns("pair", "verdict", "accelerations", "run", "engine alone", "difference", "cause")
     yield from markdown_table(Table("", heads, rows))
+    yield "\nTable: verdicts and largest differences of all pairs, one difference per row.\n"
+    yield from markdown_table(Table("", text_columns("pair", "first file", "second file", "note"), files))
+    yield "\nTable: files of the pairs, and what a person found out."
 
 
 @click.command()

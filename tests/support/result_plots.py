@@ -162,27 +162,28 @@ MOTION_BINS = ("equal", "rounding", "below 1 %", "1 to 10 %", "10 to 50 %", "50 
 
 def pairs() -> Figure:
     """Plot how much the accelerations of pairs differ, and which quantities differ."""
-    table = page_table("pairs.md", "pair", "first")
+    table = page_table("pairs.md", "pair", "verdict")
     motion: Counter[str] = Counter()
-    kinds: Counter[str] = Counter()
+    kinds: dict[str, set[str]] = {}  # names of the pairs by quantity
+    name = ""
     for row in table.rows:
         values = dict(zip(table.heads, row, strict=True))
-        if values["verdict"] == "refused" or not values["motion"]:
-            continue
-        text = values["motion"]
+        name = values["pair"] or name
+        if (kind := values["difference"].partition(" of ")[0]) in QUANTITIES:
+            kinds.setdefault(kind, set()).add(name)
+        text = values["accelerations"]
         if text in MOTION_BINS:
             motion[text] += 1
-        else:
+        elif text:
             limits = np.searchsorted([1.0, 10.0, 50.0, 100.0], numbers(text)[0])
             motion[MOTION_BINS[2 + int(limits)]] += 1
-        found = {part.strip().partition(" of ")[0] for part in values["largest differences"].split(";")}
-        kinds.update(kind for kind in found if kind in QUANTITIES)
+    counts = Counter({kind: len(names) for kind, names in kinds.items()})
     figure = Figure(figsize=(8.0, 3.4), layout="constrained")
     left, right = figure.subplots(1, 2)
     left.barh(MOTION_BINS, [motion[each] for each in MOTION_BINS], color=BLUE)
     left.set(xlabel="pairs", title="difference of accelerations")
-    names = [kind for kind, _ in kinds.most_common(10)]
-    right.barh(names, [kinds[name] for name in names], color=VERMILION)
+    names = [kind for kind, _ in counts.most_common(10)]
+    right.barh(names, [counts[name] for name in names], color=VERMILION)
     right.set(xlabel="pairs", title="among the three largest differences")
     for ax in (left, right):
         ax.invert_yaxis()
@@ -215,19 +216,19 @@ QUANTITIES = (
 
 
 def planted() -> Figure:
-    """Plot the largest change of motion of each kind of planted change, and how many are named right."""
+    """Plot the largest change of motion of each kind of injected change, and how many are identified."""
     table = page_table("planted.md", "change", "files")
-    files, right_names = (
-        np.array([float(text) for text in table.column(head)]) for head in ("files", "named right")
+    files, identified = (
+        np.array([float(text) for text in table.column(head)]) for head in ("files", "identified")
     )
-    changes = np.array([float(text or "nan") for text in table.column("largest change of motion")])
+    changes = np.array([float(text or "nan") for text in table.column("largest change of accelerations")])
     half = (len(files) + 1) // 2
     figure = Figure(figsize=(8.0, 0.18 * half + 0.9), layout="constrained")
     for ax, rows in zip(figure.subplots(1, 2), (slice(half), slice(half, None)), strict=True):
         names = [
             f"{name} ({right:.0f} of {count:.0f})"
             for name, right, count in zip(
-                table.column("change")[rows], right_names[rows], files[rows], strict=True
+                table.column("change")[rows], identified[rows], files[rows], strict=True
             )
         ]
         ax.set_yticks(range(len(names)), names, fontsize=7.0)

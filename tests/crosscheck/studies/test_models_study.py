@@ -71,8 +71,9 @@ def test_the_table_has_counts_and_reasons(tmp_path: Path) -> None:
     assert counts.startswith(
         "4 models of 1 repositories: 1 AGREE, 1 AGREE ON A REDUCED MODEL, 1 DISAGREE, 1 refused."
     )
-    assert "is the reason in 1 of them. 10 elements of the files are imported exactly, 4 are inactive, and 6" in (
-        counts
+    assert (
+        "is the reason in 1 of them. 10 elements of the files are imported exactly, 4 are inactive, and 6"
+        in (counts)
     )
     assert "| contacts | 1 |" in lines
     assert lines[-5:-1] == [

@@ -161,7 +161,7 @@ def table(cases: Sequence[Case]) -> Iterator[str]:
     missed = sum(case.is_missed for case in cases)
     yield (
         f"{len(cases)} changed files of {len(models)} models, {len(kinds)} kinds of changes: "
-        f"{right} are named right ({100.0 * right / max(len(cases), 1):.1f} %), "
+        f"{right} are identified ({100.0 * right / max(len(cases), 1):.1f} %), "
         f"{missed} changes of the motion are missed."
     )
     yield ""
@@ -169,14 +169,19 @@ def table(cases: Sequence[Case]) -> Iterator[str]:
     for case in cases:
         by_kind[case.kinds[0] if len(case.kinds) == 1 else f"{len(case.kinds)} changes at once"].append(case)
     rows: Rows = []
+    wrong: Rows = []
     for kind, those in by_kind.items():
-        wrong = [f"{case.model}: {'; '.join(case.mistakes)}" for case in those if case.mistakes]
+        wrong += [[kind, case.model, "; ".join(case.mistakes)] for case in those if case.mistakes]
         changed = [case.change for case in those if case.change is not None]
         motion = f"{max(changed):.1e}" if changed else ""
-        named = Counter(not case.mistakes for case in those)[True]
-        rows.append([kind, str(len(those)), str(named), motion, "<br>".join(wrong)])
-    heads = text_columns("change", "files", "named right", "largest change of motion", "wrong")
+        identified = Counter(not case.mistakes for case in those)[True]
+        rows.append([kind, str(len(those)), str(identified), motion])
+    if wrong:
+        yield from markdown_table(Table("", text_columns("change", "model", "wrong in the output"), wrong))
+        yield "\nTable: changes that are not identified.\n"
+    heads = text_columns("change", "files", "identified", "largest change of accelerations")
     yield from markdown_table(Table("", heads, rows))
+    yield "\nTable: kinds of changes, files with them, and the largest relative change of accelerations."
 
 
 @click.command()
