@@ -113,10 +113,14 @@ LONG = (
     "docs/how_to/identification_friction.md",
     "docs/how_to/logs.md",
     "docs/how_to/moving_base.md",
+    "docs/how_to/place_to_tracker.md",
+    "docs/how_to/sun.md",
+    "docs/how_to/sweep_tolerances.md",
+    "docs/how_to/wind.md",
     "docs/reference/python.md",
     "docs/results/tolerances.md",
 )
-"""Pages whose code takes 6 to 10 s. Tests of their subjects and of docstrings do the same in shorter runs."""
+"""Pages whose code takes 4 to 10 s. Tests of their subjects and of docstrings do the same in shorter runs."""
 
 
 @pytest.mark.parametrize(

@@ -43,6 +43,7 @@ def test_figures_of_a_mass_that_follows_a_sine():
     assert found == pytest.approx(expected, rel=1e-4)  # the trapezoidal rule at a thousand outputs
 
 
+@pytest.mark.slow
 def test_the_table_has_a_row_per_controller_and_engine(capsys, tmp_path):
     arguments = ("--engines", "newton_euler", "--output", tmp_path)
     status, out, err = run(capsys, "controllers", *arguments)

@@ -103,6 +103,7 @@ def test_a_day_of_moves_is_drawn_as_an_envelope():
     assert drawn.get_ydata().max() == 12.0
 
 
+@pytest.mark.slow
 def test_drives_of_a_scene(capsys, tmp_path):
     """The two sliders of the tracker; requirements of the user make other drives fail, and the status 5."""
     motion = tmp_path / "motion"

@@ -68,6 +68,7 @@ def errors(seed):
     return (found.values - list(TRUTH.values())) / found.standard_deviations
 
 
+@pytest.mark.slow
 def test_friction_is_recovered_within_its_uncertainty():
     """Squares of the errors of each parameter add up to chi squared."""
     squares = np.sum([errors(seed) ** 2 for seed in range(FAST_TRIALS)], axis=0)

@@ -169,6 +169,7 @@ def test_identify_names_what_the_data_do_not_determine(capsys, tmp_path, data):
     assert found["parameters"]["slider_2.inertia.xx"]["deviation"] == "inf"
 
 
+@pytest.mark.slow
 def test_identify_says_if_the_scene_cannot_move_as_was_measured(capsys, tmp_path, data):
     """Status 3: values are not to be trusted."""
     fit = ("--fit", "panel_7.mass")

@@ -73,6 +73,7 @@ def test_cases_of_a_scene(capsys, monkeypatch, tmp_path):
     assert "data:image/png" in page
 
 
+@pytest.mark.slow
 def test_every_case_is_in_all_results(capsys, tmp_path):
     """Rest is quick: cases of 5 and 10 m/s; their static wind forces differ by a factor of 4."""
     cases = ("--case", "weak:speed=5", "--case", "calm:speed=0", "--case", "strong:speed=10")
@@ -103,6 +104,7 @@ def test_every_case_is_in_all_results(capsys, tmp_path):
         assert float(envelope[joint, "force"]["most"]) == peaks[governing]
 
 
+@pytest.mark.slow
 def test_wind_at_rest_has_the_largest_speed_of_its_run(capsys, tmp_path):
     """The gust of 10 m/s peaks at 10 + 0.74 * 5 m/s: the loads are those of a steady wind with this speed."""
     arguments = ("--case", "gust:wind=gust", "--case", "steady:wind=steady,speed=13.7", "--output", tmp_path)
@@ -118,6 +120,7 @@ def test_wind_at_rest_has_the_largest_speed_of_its_run(capsys, tmp_path):
         assert each["most"] == pytest.approx(other["most"], rel=1e-5, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_the_default_cases_load_a_stowed_panel_from_both_sides(capsys, tmp_path):
     """In stow the panel is flat: of the ground's vertical force, weight -+ the normal force of the wind."""
     status, out, _ = run(capsys, "loads", "tracker_wind", "--at-rest", "--output", tmp_path)
@@ -197,6 +200,7 @@ def test_round_off_is_no_load_and_rest_is_told(capsys, tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_advice_on_excitation_is_for_model_files_alone(capsys, tmp_path):
     """Scenes of the library and scene files do not have the option `excitation`."""
     status, out, _ = run(
@@ -427,6 +431,7 @@ def test_a_panel_of_another_size_has_its_weight_its_inertia_and_its_wind():
     assert up - weight == pytest.approx(0.5 * 1.225 * (40.0**2 + 10.0**2) * 0.04 * coefficient, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_loads_at_round_off_have_no_plot():
     """Pins of a planar arm carry no torque; hydraulic cylinders, as joints and as actuators, are drawn."""
     scene = load("excavator")

@@ -74,6 +74,7 @@ AFAR = """<mujoco><worldbody>
 <equality><connect body1="b" body2="c" anchor="{2} 0 0"/></equality></mujoco>"""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("distance", "size"), [(1e4, 1.0), (5e5, 1.0), (1e3, 0.01)])
 def test_far_from_the_origin_models_agree_as_far_as_their_coordinates_have_digits(
     capsys, tmp_path, distance, size
@@ -110,6 +111,7 @@ def test_an_mjcf_is_run_with_its_report(capsys, tmp_path):
     assert set(topics) == {"redundancy"}
 
 
+@pytest.mark.slow
 def test_a_urdf_is_run_with_its_loops(capsys, tmp_path):
     assert run(capsys, "convert", "tracker_aligned", tmp_path / "tracker.urdf")[0] == 0
     status, out, _ = run(

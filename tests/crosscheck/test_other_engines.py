@@ -211,6 +211,7 @@ def test_faults_leave_out_an_engine_that_cannot_run(with_engines):
     assert str(found.refusals["bare"]) == "fault injection needs equations of motion; bare has none"
 
 
+@pytest.mark.slow
 def test_importers_of_other_packages_take_part(monkeypatch, tmp_path):
     """The importer runs in a process of its own, which finds the package by itself."""
     (tmp_path / "toy_package.py").write_text(

@@ -116,6 +116,7 @@ def test_other_runs_pass_none(name):
     assert find_singular_configurations(scene, simulate(scene)) is None
 
 
+@pytest.mark.slow
 def test_a_start_in_one_is_in_the_default_output(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "flat.xml").write_text(FLAT.format(length=0.1))

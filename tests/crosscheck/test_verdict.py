@@ -58,6 +58,7 @@ def test_a_file_is_checked_with_its_options():
         crosscheck.check(LINKAGE, duratoin=1)
 
 
+@pytest.mark.slow
 def test_models_of_mujoco_are_checked_as_they_are_in_memory():
     spec = mujoco.MjSpec.from_file(str(LINKAGE))
     options = {"key": "go", "duration": 0.05}

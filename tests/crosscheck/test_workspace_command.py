@@ -154,6 +154,7 @@ def test_coordinates_of_joints_with_several_have_numbers(few_searches):
     assert [row[0] for row in table.rows[:6]] == names
 
 
+@pytest.mark.slow
 def test_maps_show_every_kind_of_point():
     """No map on a line; one in a plane, of a curve; two of an area over three coordinates; three in space."""
     strokes = {

@@ -63,6 +63,7 @@ def test_rk4_at_one_millisecond(mujoco_run: Runs, tracker_run: Runs) -> None:
     assert np.max(np.abs(found.kinetic_energy - wanted.kinetic_energy)) < 1e-5 * np.max(wanted.kinetic_energy)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("integrator", "low", "high"),
     [

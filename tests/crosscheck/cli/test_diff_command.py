@@ -191,6 +191,7 @@ def test_an_option_that_a_file_does_not_have_is_refused(capsys, arm, tmp_path):
         crosscheck.diff(urdf, arm("first"), first_options={"gravity": "0"})
 
 
+@pytest.mark.slow
 def test_a_converted_model_with_its_loop_file_moves_alike(capsys, tmp_path):
     text = (ROOT / "examples" / "linkage.xml").read_text()
     text = re.sub(r"<actuator>.*</keyframe>", "", text, flags=re.DOTALL)  # no URDF has drives

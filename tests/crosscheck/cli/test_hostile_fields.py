@@ -75,6 +75,7 @@ def test_every_field_of_a_scene_file_is_tried():
     assert fields(schema) - distinct(schema, scene_contents()).keys() == set()
 
 
+@pytest.mark.slow
 @SAMPLED
 @pytest.mark.parametrize("language", ["json", "yaml"])
 def test_values_in_every_field_of_a_scene_file(tmp_path, language, step):

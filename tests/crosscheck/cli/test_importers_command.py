@@ -67,6 +67,7 @@ def results(found):
     return {each.reading.importer: each.result.value for each in found.comparison.others}
 
 
+@pytest.mark.slow
 def test_rotated_inertia_of_a_urdf_is_mended_in_mujoco(file):
     # google-deepmind/mujoco#3559: MuJoCo 3.12 lost the rotation; 4.0 has 2 kg m^2 about x, as the file says,
     # and m r^2 = 0.25 kg m^2. The tolerance is round-off of an eigenvalue decomposition.
@@ -211,6 +212,7 @@ def test_a_package_that_is_not_installed(file, tmp_path, monkeypatch):
     assert found["MuJoCo"].result is Outcome.SAME
 
 
+@pytest.mark.slow
 def test_what_an_importer_leaves_out_by_its_documentation(file):
     path = file(TRUNK.replace("</mujoco>", '<actuator><motor joint="hip_joint"/></actuator></mujoco>'))
     found = crosscheck.importers(path)
@@ -287,6 +289,7 @@ CONNECTED = """<mujoco><worldbody><body name="base"><inertial pos="0 0 0" mass="
   </mujoco>"""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("names", [("z", "y"), ("", "")])
 def test_loops_in_another_order_are_paired_by_their_points(file, names):
     # Pinocchio sorts constraints by name, and gives its own none

@@ -12,6 +12,7 @@ from command_line import run, scene_file, short_example
 from crosscheck.report.output import MODEL_RECORDS
 
 
+@pytest.mark.slow
 def test_results_of_other_models_are_not_overwritten_unasked(capsys, monkeypatch, tmp_path):
     """Models of one name, and scenes of the library beside files of their names."""
     monkeypatch.chdir(tmp_path)

@@ -93,6 +93,7 @@ def test_a_viewer_and_its_children_end_with_the_command(viewer, number):
     assert command.returncode == 0
 
 
+@pytest.mark.slow
 def test_figures_draws_five_pictures(tmp_path, capsys):
     status, out, _ = run(capsys, "figures", "--output", tmp_path)
     assert status == 0

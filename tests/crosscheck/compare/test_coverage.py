@@ -109,6 +109,7 @@ def test_tested_elements_show_and_untested_ones_do_not(name):
         assert (moved(scene, other) > 1.0) == found[element].tested, element
 
 
+@pytest.mark.slow
 def test_joints_that_do_not_move_are_untested():
     scene = replace(load("tracker"), duration=0.5)
     still = replace(scene, control=tuple(replace(law, target=0.0) for law in scene.control))

@@ -339,6 +339,7 @@ def test_excitation_covers_what_a_file_leaves_still(tmp_path: Path) -> None:
     assert shares[1] >= 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("command", "excited"), [("run", True), ("convert", False)])
 def test_runs_excite_by_default(
     command: str, excited: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]

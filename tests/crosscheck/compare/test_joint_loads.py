@@ -31,6 +31,7 @@ def parted(chain, element):
     return np.max(np.linalg.norm(other.position - run.position, axis=-1))
 
 
+@pytest.mark.slow
 def test_a_displaced_joint_parts_motions_by_what_it_does_not_carry(chain):
     scene, _, loads = chain
     joints = [element for element in elements(scene) if element.displaced is not None]

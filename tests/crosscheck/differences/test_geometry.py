@@ -326,6 +326,7 @@ def test_a_shape_of_an_unknown_geometry_is_a_note(tmp_path):
     assert ["cone" in note for note in found.comparison.first.notes] == [True]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["tracker", "four_bar"])
 def test_converted_files_of_a_scene_have_the_same_shapes(name, tmp_path):
     """A URDF has no capsules: `crosscheck convert` writes cylinders, and the numbers with nine decimals."""

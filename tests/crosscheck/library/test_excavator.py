@@ -116,6 +116,7 @@ def test_the_work_of_a_run_is_its_change_of_energy():
     assert run.kinetic_energy[half - 1] == pytest.approx(energy, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_modes_of_the_arm_by_lagrange():
     """Eigenvalues of the arm under its controllers, at rest without the resistance of the ground."""
     scene = load("excavator", digging_force=0.0)

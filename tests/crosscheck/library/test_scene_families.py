@@ -64,6 +64,7 @@ def test_the_closed_form_is_the_reference():
         assert at[known.quantity] == pytest.approx(known.value, abs=1e-13)
 
 
+@pytest.mark.slow
 def test_reference_figures(windows_run):
     windows, run = windows_run
     for known in (known for known in reference_values("four_bar") if known.options["N"] == windows):
@@ -138,6 +139,7 @@ def lines_run(action):
     return count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["four_bar", "chain"])
 def test_making_a_scene_costs_in_proportion_to_its_size(name):
     def make(size):

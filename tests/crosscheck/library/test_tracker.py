@@ -100,6 +100,7 @@ def test_options_of_the_scene():
         load("tracker", color="red")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{"wind": "turbulent", "seed": 7}, {"wind": "gust"}, {"wind": "steady"}])
 def test_stiff_laws_hold_the_panel_in_the_wind(options):
     """They are off by less than 1 mm in a wind of 10 m/s, and hold the weight at the start."""
@@ -165,6 +166,7 @@ def test_identified_points_close_both_poses_and_are_those_in_use():
     assert corrected_tables().center_of_mass[6] == pytest.approx([-0.03428, 0.04289, 0.13656])
 
 
+@pytest.mark.slow
 def test_the_work_of_a_boat_closes_the_balance_of_energy():
     """1e-9 of what is exchanged, at tolerances of 1e-10; the sea does more than the actuators take."""
     scene = replace(load("tracker_on_boat", heave_period="2.5", roll=0.3), duration=2.0)

@@ -16,6 +16,7 @@ from newton_euler.analysis.loads.power_screws import Thread
 SCREW = Thread(LEAD, PITCH_DIAMETER, friction=0.15)
 
 
+@pytest.mark.slow
 def test_the_screws_hold_the_panel_without_motors():
     """They creep by less than the transition speed, and with little friction the panel falls."""
     drops = []

@@ -78,6 +78,7 @@ def motions(log):
     ]
 
 
+@pytest.mark.slow
 def test_the_error_of_a_log_of_drake_is_that_beside_plain_mujoco(log, motions):
     (reference, turns), (position, quaternion) = motions
     found = judged(str(PATH))
@@ -94,6 +95,7 @@ def test_the_error_of_a_log_of_drake_is_that_beside_plain_mujoco(log, motions):
     assert found.has_energy
 
 
+@pytest.mark.slow
 def test_the_loop_opening_of_a_log_is_the_distance_of_the_ends_of_the_loop(log):
     model = mujoco.MjModel.from_xml_path(MODEL)
     data = mujoco.MjData(model)
@@ -268,6 +270,7 @@ def verdict(log, motions):
     return check(MODEL, ["newton_euler", "mujoco"], runs=runs)
 
 
+@pytest.mark.slow
 def test_allowed_errors_are_those_of_logs(verdict):
     # the run with the settings of the file has an error of 3 %, which no limit concerns beside logs
     assert verdict.own_run.error.relative > 0.03

@@ -461,6 +461,7 @@ def test_controls_beyond_their_range_are_clipped_as_by_the_engine(tmp_path):
     assert found.held_inputs == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "limits", ['forcerange="-1 1"', 'forcerange="-1 1" ctrlrange="-2 2"', 'ctrlrange="-1 1"']
 )
@@ -488,6 +489,7 @@ LIMITED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", LIMITED)
 def test_a_limit_that_forces_by_logged_controls_reach_ends_the_comparison(tmp_path, case):
     actuator, joint, element, force_of = LIMITED[case]
@@ -508,6 +510,7 @@ def test_a_limit_that_forces_by_logged_controls_reach_ends_the_comparison(tmp_pa
     assert (found.events, found.rows) == ((), 251)
 
 
+@pytest.mark.slow
 def test_an_actuator_without_its_input_is_named(tmp_path):
     _, (time, q, v, *_) = run_of(CLAMPED, 1000, 1, control=lambda t: np.sin(8.0 * t))
     found = log_of(tmp_path, CLAMPED, [time, q[:, 0], v[:, 0]], ["time", "h", "h_vel"])
@@ -517,6 +520,7 @@ def test_an_actuator_without_its_input_is_named(tmp_path):
     assert note.endswith("u")
 
 
+@pytest.mark.slow
 def test_errors_are_parts_of_the_motion_that_is_compared(tmp_path):
     """Of a ball until its contact, with 5 % too little gravity; the reference falls on through the floor."""
     _, (time, q, v, *_) = run_of(FALLING.format(gravity=-0.95 * 9.81), 1000, 1)
@@ -595,6 +599,7 @@ def checked(four_bar):
     return crosscheck.check(str(path), ["newton_euler"], runs={"isaac": joints}, excitation="off").crosscheck
 
 
+@pytest.mark.slow
 def test_a_reference_that_stops_leaves_a_limit_unfinished(checked):
     stopped = replace(checked.logs["isaac"], reference_stop="a singular pose", unjudged_from=0.25)
     result = replace(checked, logs={"isaac": stopped})
@@ -740,6 +745,7 @@ def test_start_velocities_of_three_rows_have_an_error(four_bar):
     assert found.start_error.rotation == pytest.approx(abs(speed - 5.0) * 0.01, rel=0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["isaac", "deg"])
 def test_the_page_shows_the_lines_of_its_logs(name, tmp_path, monkeypatch):
     root = Path(crosscheck.__file__).parents[1]
@@ -798,6 +804,7 @@ def test_inputs_of_every_step_need_no_note(tmp_path):
     assert found.other_inputs is None
 
 
+@pytest.mark.slow
 def test_inputs_that_are_logged_after_their_step_name_the_option(tmp_path):
     found = motor_log(tmp_path, 1, shift=1)
     # the first control, 3 N m, acts 1 ms too late on an inertia of about 0.2 kg m^2: 0.015 rad/s of 5 rad/s
@@ -823,6 +830,7 @@ def test_inputs_of_rows_that_are_far_apart_are_named(tmp_path):
     assert any("log them at each step" in line for line in log_lines(found).lines)
 
 
+@pytest.mark.slow
 def test_missing_joints_have_their_names_in_the_file():
     scene, report = load_scene("mjcf/tracker.xml", {"excitation": "off", "duration": "0.1"}, verified=False)
     run, table = simulate(scene), {}
@@ -889,6 +897,7 @@ def test_coordinates_beside_poses_that_violate_joints_are_not_blamed(four_bar, t
     assert find_mismatches(log, options, compared) == ()
 
 
+@pytest.mark.slow
 def test_unknown_parts_of_poses_are_no_errors_of_0(four_bar, checked):
     joints, bodies = four_bar[3:5]
     quaternions = {name: x for name, x in bodies.items() if "coupler/orientation" in name}

@@ -250,6 +250,7 @@ FINGER = """<link name="{name}"><inertial><origin xyz="0.05 0 0"/><mass value="0
   <limit lower="-9" upper="9" effort="9" velocity="99"/>{mimic}</joint>"""
 
 
+@pytest.mark.slow
 def test_mimics(tmp_path):
     """Two fingers that move alike fall like one: the error is the one of a single pendulum."""
     mimic = '<mimic joint="one_joint" multiplier="1" offset="0"/>'

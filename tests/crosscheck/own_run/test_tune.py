@@ -247,6 +247,7 @@ def test_command(capsys, tmp_path):
     assert result["report"]["verdict"].startswith("REACHED")
 
 
+@pytest.mark.slow
 def test_python_finds_what_the_command_finds(capsys, tmp_path):
     path, out = tmp_path / "model.xml", tmp_path / "out"
     path.write_text(FOUR_BAR)

@@ -114,6 +114,7 @@ BESIDE_CHAOS = """<mujoco><option timestep="0.002" integrator="RK4"/><worldbody>
   </worldbody></mujoco>"""
 
 
+@pytest.mark.slow
 def test_a_chaotic_mechanism_ends_the_comparison_of_its_own_bodies_only(tmp_path):
     step, duration, reach, frequency = 0.002, 4.0, 0.01, 100.0
     found = judge(simulation_of(tmp_path, BESIDE_CHAOS, duration=duration, output_period=0.01))
@@ -241,6 +242,7 @@ LINKAGE = """<mujoco><option timestep="0.002"/><default><joint axis="0 1 0" damp
   <keyframe><key name="go" ctrl="1"/></keyframe></mujoco>"""
 
 
+@pytest.mark.slow
 def test_loop_errors_are_those_of_the_judged_window(tmp_path):
     found = judge(simulation_of(tmp_path, LINKAGE, key="go", duration=0.3, output_period=0.002))
     assert found.until is not None, "a limit acts after more than ten outputs"
@@ -270,6 +272,7 @@ CHAOTIC = """<mujoco><option timestep="0.002"/><worldbody>
   <keyframe><key name="k"/></keyframe></mujoco>"""
 
 
+@pytest.mark.slow
 def test_a_motion_that_is_chaotic_before_the_first_output_of_the_scene_has_closer_outputs(tmp_path):
     found = judge(simulation_of(tmp_path, CHAOTIC, key="k", duration=20, output_period=4))
     (motion,) = found.scale.mechanisms
@@ -282,6 +285,7 @@ def test_a_motion_that_is_chaotic_before_the_first_output_of_the_scene_has_close
     assert found.band is Band.WRONG
 
 
+@pytest.mark.slow
 def test_outputs_of_a_baseline_are_closer_too(tmp_path):
     simulation = simulation_of(tmp_path, CHAOTIC, key="k", duration=20, output_period=4)
     found = measure_error(simulation, 1e-9, horizons(simulation))

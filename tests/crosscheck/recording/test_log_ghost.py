@@ -65,6 +65,7 @@ def drawn(recording: Recording, entity: str) -> Array:
     return np.array(recording.columns[entity, "Transform3D:translation"])[:, 0]
 
 
+@pytest.mark.slow
 def test_the_ghost_is_where_the_log_is(saved: tuple[Verdict, Path]) -> None:
     verdict, path = saved
     recording, (table, centers) = read_recording(path), logged(0.02)
@@ -107,6 +108,7 @@ def test_each_log_has_a_view_and_a_ghost_that_cannot_be_told_apart_is_hidden(
     assert "logs/isaac/log" not in found["hidden"]
 
 
+@pytest.mark.slow
 def test_bodies_that_a_log_does_not_determine_have_no_ghost(tmp_path: Path) -> None:
     path = "examples/linkage.xml"
     model = mujoco.MjModel.from_xml_path(path)

@@ -80,6 +80,7 @@ def test_modes_tell_the_pose_and_whether_it_is_stable(capsys, tmp_path):
     assert out.count(" rigid  ") == 6
 
 
+@pytest.mark.slow
 def test_control_laws_hold_the_pose_that_is_asked_for(capsys, tmp_path):
     """The weight overcomes the published gains, which cannot hold the tracker up."""
     pose = ("--pose", "slide_12=0.02", "--pose", "slide_13=0.01", "--output", tmp_path)
@@ -120,6 +121,7 @@ def test_poses_that_cannot_be_are_refused_in_one_line(capsys, tmp_path, argument
     assert not list((tmp_path / "new").glob("modes.*"))
 
 
+@pytest.mark.slow
 def test_a_mechanism_that_never_rests_is_refused_with_what_to_do(capsys, tmp_path):
     text = """<mujoco><worldbody><body name="stone"><joint name="fall" type="slide" axis="0 0 1"/>
       <geom size="0.1"/></body></worldbody></mujoco>"""
@@ -135,6 +137,7 @@ def test_modes_that_grow_are_named():
     assert stability(grows) == "unstable: mode 2 grows"
 
 
+@pytest.mark.slow
 def test_drawn_motion_keeps_hinges_closed_to_first_order():
     scene = load("stewart")
     model = linearize(scene, equilibrium(scene))

@@ -215,6 +215,7 @@ def test_a_mesh_says_what_is_wrong_with_it(arguments, message):
         Mesh(*arguments)
 
 
+@pytest.mark.slow
 def test_meshes_beyond_the_limit_are_named_beside_the_recording(folder, capsys):
     (folder / "m.xml").write_text(MJCF)
     sizes = {}

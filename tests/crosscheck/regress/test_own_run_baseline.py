@@ -72,6 +72,7 @@ def test_a_baseline_holds_the_errors_with_tolerance_and_reason(guarded):
     assert text.count('"reason"') == len(NAMES) + 1  # and that of the update
 
 
+@pytest.mark.slow
 def test_a_longer_step_fails_and_a_shorter_one_is_more_accurate(capsys, guarded):
     assert compared(capsys, guarded)[0] == 0
     # twice the step: twice the error of a method of order 1, and nothing else moves
@@ -96,6 +97,7 @@ def test_a_longer_step_fails_and_a_shorter_one_is_more_accurate(capsys, guarded)
     assert "more accurate" in (guarded / "out" / "summary.md").read_text()
 
 
+@pytest.mark.slow
 def test_a_run_that_diverges_fails(capsys, guarded):
     """A stiff spring, which an explicit step of 4 ms does not survive."""
     path = write(guarded, 0.004, more='stiffness="1e6"')

@@ -103,6 +103,7 @@ def test_what_cannot_be_checked_fails_in_one_line(suite):
     assert "crosscheck/verdict.py" not in text
 
 
+@pytest.mark.slow
 def test_a_baseline_is_stored_on_demand_and_compared_with(suite):
     done = run(suite, "-k", "guarded")
     done.assert_outcomes(failed=1)
@@ -119,6 +120,7 @@ def test_a_baseline_is_stored_on_demand_and_compared_with(suite):
     assert "linkage: MOVED: " in text
 
 
+@pytest.mark.slow
 def test_a_baseline_of_a_model_in_memory_is_beside_the_test(suite):
     run(suite, "-k", "spec", "--crosscheck-update", "as made").assert_outcomes(passed=1)
     assert (suite.path / "linkage.baseline.json").is_file()

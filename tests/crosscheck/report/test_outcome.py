@@ -53,6 +53,7 @@ def test_exit_statuses():
     assert all(one.exit_status() == one.exit_status(allow_reduced=True) for one in unchanged)
 
 
+@pytest.mark.slow
 def test_a_cube_that_falls_through_a_floor_is_no_plain_agreement(capsys, tmp_path):
     """It falls by 9.81 / 2 t^2 and touches after 0.05 m: at 0.101 s."""
     path, out = file(tmp_path, DROP.format(height=0.07)), tmp_path / "out"
@@ -77,6 +78,7 @@ def test_a_cube_that_falls_through_a_floor_is_no_plain_agreement(capsys, tmp_pat
     assert run(capsys, "run", *arguments, "--allow-reduced")[0] == ExitStatus.AGREE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("excitation", "named"), [("on", 1), ("off", 0)])
 def test_an_excitation_is_named_as_a_possible_cause_of_what_acts_later(excitation, named, tmp_path):
     """Not of what acts from the start on, as in a cube that starts in the floor."""

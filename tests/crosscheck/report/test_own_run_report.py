@@ -82,6 +82,7 @@ def test_the_page_has_the_judgement_and_its_error_over_time(folder, verdict):
     ]
 
 
+@pytest.mark.slow
 def test_the_page_has_the_error_of_a_log_over_time(tmp_path, without_views):
     path = tmp_path / "loop.xml"
     path.write_text(LOOP.format(reach=0.4))

@@ -121,6 +121,7 @@ def test_energy_of_actuators_is_what_they_lift_up_and_do_not_let_down(day):
         assert 0.4 * way * 4.0 < actuator.energy < 0.6 * way * 9.2
 
 
+@pytest.mark.slow
 def test_slow_set_points_arrive_late():
     """70 mm at 0.1 mm/s take 12 minutes: the panel is still on its way at two set-points or more."""
     tracking = Tracking(speed=1e-4)

@@ -33,6 +33,7 @@ def days():
     return [tracker_day(scene, PANEL_NORMAL, PLACE, DATE, None, tracking, PERIOD) for scene in scenes]
 
 
+@pytest.mark.slow
 def test_motors_turn_to_where_their_screws_take_the_sliders(days):
     geared, direct = days
     for motor, slider in (("motor_2", "slide_12"), ("motor_3", "slide_13")):
@@ -154,6 +155,7 @@ def test_positions_near_singular_configurations_are_those_of_the_sliders(monkeyp
     assert (geared == Cause.SINGULAR)[direct == Cause.SINGULAR].all()
 
 
+@pytest.mark.slow
 def test_motors_on_a_moving_base_have_the_set_points_and_forces_of_the_sliders():
     base, wanted = Base.at_rest(roll=10.0, heading=80.0), tilted(np.full(8, 0.3), np.linspace(0.0, 1.0, 8))
     (geared, _), (direct, _) = (

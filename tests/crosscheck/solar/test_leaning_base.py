@@ -78,6 +78,7 @@ def test_a_sun_behind_the_base_is_no_error_of_one_axis(day):
     assert (sum(day.error_parts.values()) > day.errors - 1e-9).all()
 
 
+@pytest.mark.slow
 def test_a_row_off_its_set_points_is_told_while_the_sun_is_behind_the_base():
     """At 0.05 mrad/s the row lags behind the sun, 0.073 mrad/s, and moves all day."""
     day = day_of(row(), speed=5e-5)

@@ -28,6 +28,7 @@ def day():
     return tracker_day(sun_tracker(), PANEL_NORMAL, place, "2026-03-21", tracking=TRACKING, period=1200.0)
 
 
+@pytest.mark.slow
 def test_blocked_directions_are_replaced_by_free_ones(day):
     faced = day.faced
     assert np.flatnonzero(faced.replaced).tolist() == list(range(43, 55))  # 14:20 to 18:00

@@ -187,6 +187,7 @@ def test_results_have_a_page(results):
     assert page.count("data:image/png;base64") >= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [(), ("tracker_sun",)])
 def test_the_tracker_has_a_name(capsys, tmp_path, name):
     """With its name it has the same results as without, and a tilt of at most 30 degrees."""

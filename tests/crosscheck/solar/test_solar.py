@@ -155,6 +155,7 @@ def day():
     return tracker_day(sun_tracker(), PANEL_NORMAL, EQUATOR, "2026-06-21")
 
 
+@pytest.mark.slow
 def test_panels_get_to_their_set_points(day):
     """Just before each next set-point the normal points where it was to; rests end it 1e-8 m/s early."""
     assert day.poses.reached.all()

@@ -353,6 +353,7 @@ def test_a_day_on_a_base_that_leans():
         tracker_day(sun_tracker(), PANEL_NORMAL, place, "2026-03-21", base=Base({"yaw": Sine(0.1, 1.0)}))
 
 
+@pytest.mark.slow
 def test_set_points_face_the_sun_from_a_moving_base():
     """Simulated: the panel follows a fixed direction while its base rolls by 6 degrees and turns by 20."""
     period, count = 0.25, 13

@@ -176,6 +176,7 @@ def quick_batch(monkeypatch, tracker, error):
     return batch.benchmark_batch(second, ALL, 4, error, lambda message: None)
 
 
+@pytest.mark.slow
 def test_a_batch_is_measured_for_every_engine(monkeypatch, tracker):
     result = quick_batch(monkeypatch, tracker, 1e-5)
     counts = batch.thread_counts()

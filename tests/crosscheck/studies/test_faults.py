@@ -98,6 +98,7 @@ def found(example):
     return find_faults(example, lambda message: None, sizes=(1e-1, 1e-4)).found
 
 
+@pytest.mark.slow
 def test_faults_of_every_kind_are_found_and_blamed(found):
     assert {f.fault.kind for f in found} == KINDS
     assert {f.engine for f in found} == set(ENGINES)
@@ -318,6 +319,7 @@ def test_engines_have_to_agree_without_a_fault(example, monkeypatch):
         find_faults(example, lambda message: None)
 
 
+@pytest.mark.slow
 def test_the_command_writes_what_a_page_shows(capsys, tmp_path, monkeypatch):
     few = catalog(load(str(EXAMPLE)), (1e-1, 1e-3))[::12]
     monkeypatch.setattr(finding, "catalog", lambda scene, sizes: few)

@@ -37,6 +37,7 @@ COUNT = 16
 COMPARED = compared_systems([*ENGINES.values()])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("setting", COMPARED, ids=lambda setting: setting.engine)
 def test_engines_agree(setting):
     """At the tolerances of a crosscheck, of which the worst of these takes a tenth."""
@@ -50,6 +51,7 @@ def test_native_code_is_its_float_form_in_another_order(setting):
     assert compare_on_mechanism(random_scene(0, 0), setting).ratio < 1e-12 / NATIVE_TOLERANCE
 
 
+@pytest.mark.slow
 def test_what_they_cover():
     """All kinds of joints in trees and in loops, all sizes, redundancy, everything that pushes."""
     scenes = [random_scene(0, number) for number in range(48)]

@@ -166,6 +166,7 @@ def check_one_line(done: subprocess.CompletedProcess[str], path: str) -> None:
     assert line.endswith(": File too large")
 
 
+@pytest.mark.slow
 def test_a_full_disk_keeps_an_older_run(tmp_path, finished):
     shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
     arguments = ("run", "four_bar.yaml", "--engines", ",".join(ENGINES), "--output", "out")

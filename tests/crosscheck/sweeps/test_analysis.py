@@ -53,6 +53,7 @@ def test_shares_of_a_sum_are_those_of_its_terms(sampling):
     assert found["a"].low > found["a"].high
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.2, 0.8, 0.99])
 def test_intervals_are_of_95_percent(share):
     """Of 400 runs, the fewest with shares: as many hold what they are to, and none is needlessly wide.

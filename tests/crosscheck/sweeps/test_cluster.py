@@ -38,6 +38,7 @@ def cluster() -> Iterator[LocalCluster]:
         yield cluster
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("on_disk", [False, True])
 def test_a_cluster_gives_what_threads_give(cluster, tmp_path, on_disk):
     output = tmp_path / "out" if on_disk else None
@@ -46,6 +47,7 @@ def test_a_cluster_gives_what_threads_give(cluster, tmp_path, on_disk):
     assert logging.getLogger("distributed.client").level == level
 
 
+@pytest.mark.slow
 def test_a_cluster_without_workers_is_waited_for():
     told = []
     with LocalCluster(n_workers=0, threads_per_worker=1, **SETTINGS) as empty:
@@ -86,6 +88,7 @@ def test_a_worker_that_dies_loses_nothing(cluster, tmp_path):
     assert_equal(found, sweep(*ARGUMENTS))
 
 
+@pytest.mark.slow
 def test_a_folder_that_workers_do_not_find_is_one_line(cluster, tmp_path, monkeypatch):
     missing = crosscheck.sweeps.results.Store.missing
 
@@ -99,6 +102,7 @@ def test_a_folder_that_workers_do_not_find_is_one_line(cluster, tmp_path, monkey
         sweep(*ARGUMENTS, cluster=cluster.scheduler_address, output=tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("answer", [b"", b"HTTP/1.1 400 Bad Request\r\n\r\n"], ids=["silent", "HTTP"])
 @pytest.mark.filterwarnings("error")  # of what a client that never connected leaves behind
 def test_what_is_no_scheduler_is_one_line(capfd, monkeypatch, answer):

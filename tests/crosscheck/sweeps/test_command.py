@@ -98,6 +98,7 @@ def test_a_variable_of_many_numbers_hides_no_other_one():
     assert swept.check(1, ["pinocchio"]).report.verdict.startswith("DISAGREE")
 
 
+@pytest.mark.slow
 def test_how_a_file_is_excited_is_said(capsys, tmp_path):
     path = tmp_path / "pair.xml"
     path.write_text(model(PAIR, '<actuator><motor name="motor" joint="p"/></actuator>'))
@@ -124,6 +125,7 @@ def test_how_a_file_is_excited_is_said(capsys, tmp_path):
         shutil.rmtree(tmp_path / "sweep.zarr")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("allowed", "expected"), [((), ExitStatus.REDUCED), (("--allow-reduced",), 0)])
 def test_a_sweep_of_a_reduced_model_and_a_moved_start_says_so(capsys, tmp_path, allowed, expected):
     """The crank falls past its limit, which is not simulated; the loop is open by 3 cm in the file."""
@@ -162,6 +164,7 @@ def test_newton_euler_alone_does_not_confirm_its_own_sweep():
     assert swept.check(1, ["pinocchio"]).findings.outcome is Outcome.AGREE
 
 
+@pytest.mark.slow
 def test_reactions_that_redundant_constraints_leave_open_are_not_judged(tmp_path):
     scene = replace(bolted(Revolute, axis=Z), duration=0.2)
     keep = "peak:reaction_force, peak:pivot.reaction_force, peak:bolt.reaction_force"

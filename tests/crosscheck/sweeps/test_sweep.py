@@ -107,6 +107,7 @@ def test_executors_give_the_same(reference, tmp_path):
         assert_equal(sweep(*ARGUMENTS, executor=processes, output=tmp_path), reference)
 
 
+@pytest.mark.slow
 def test_a_sweep_warns_of_nearly_redundant_constraints_once_where_it_is_called(capfd):
     """However many chunks, and in other processes not at all; nor do its checks."""
     scene = replace(flat_four_bar(3e-9), duration=0.05)

@@ -105,6 +105,7 @@ def test_linear_models_know_the_gains():
     assert eigenvalues == pytest.approx(np.repeat(roots, 2), rel=1e-9)  # of matrices of some 1e2
 
 
+@pytest.mark.slow
 def test_a_sampled_law_agrees_in_all_engines():
     """1 kHz: a force that is half a period late, 0.5 ms, leaves some 1e-6 m."""
     scene = tracker()
@@ -115,6 +116,7 @@ def test_a_sampled_law_agrees_in_all_engines():
     assert np.max(np.abs(runs[2].position - runs[0].position)) < 1e-7  # soft loops at 1 ms
 
 
+@pytest.mark.slow
 def test_a_wrong_model_leaves_errors_in_all_engines():
     scene = tracker(model={"panel_7.mass": 0.5, "gravity": [0.0, 0.0, -9.0]})
     runs = [newton_euler.simulate(scene), urdf.simulate(scene), mjcf.simulate(scene)]
@@ -123,6 +125,7 @@ def test_a_wrong_model_leaves_errors_in_all_engines():
     assert np.max(np.abs(runs[2].position - runs[0].position)) < 1e-6  # soft loops at 1 ms
 
 
+@pytest.mark.slow
 def test_the_controllers_model_has_no_wind():
     sides = {"first_side": [1.0, 0.0, 0.0], "second_side": [0.0, 1.0, 0.0]}
     laws = (

@@ -141,6 +141,7 @@ def test_loads_on_a_base_that_follows_samples():
         assert np.abs(sampled - exact).max() < 1e-10 * np.abs(exact).max()
 
 
+@pytest.mark.slow
 def test_computed_torque_follows_on_a_boat_as_on_land():
     """A spline that begins where the sliders do, at rest: 1e-9 m at tolerances of 1e-10; the same law in
     Pinocchio's equations."""

@@ -115,6 +115,7 @@ def driven_tree(*recorders: Recorder) -> Scene:
     return replace(tree, mechanism=mechanism, control=control, initial_state=None, duration=0.5)
 
 
+@pytest.mark.slow
 def test_controllers_of_a_tree_see_the_same_in_all_engines():
     seen, ends = {}, {}
     for name, simulate in SIMULATIONS.items():

@@ -61,6 +61,7 @@ def test_joints_of_several_coordinates_start_and_others_stay():
         np.testing.assert_allclose([motion.coordinates[0], motion.rates[0]], 0.0, atol=CLOSURE_TOLERANCE)
 
 
+@pytest.mark.slow
 def test_coordinates_that_are_not_given_follow_from_the_loops():
     scene = start(load("stewart"), leg_1=[(0.05, 0.1), None])
     assert scene.initial_state is not None

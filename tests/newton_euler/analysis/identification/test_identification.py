@@ -287,6 +287,7 @@ def test_a_mass_that_a_wrong_scene_makes_nothing_of_has_no_deviation():
     assert np.isnan(found.covariance).all()
 
 
+@pytest.mark.slow
 def test_combinations_of_many_parameters_are_named_by_their_shares():
     """All masses, stiffnesses and dampings of the tracker by one factor: nothing else pulls."""
     scene = replace(load("tracker"), duration=1.0, output_period=0.05)
@@ -300,6 +301,7 @@ def test_combinations_of_many_parameters_are_named_by_their_shares():
     assert any("panel_7.mass" in line and "slide_12.stiffness" in line for line in found.undetermined)
 
 
+@pytest.mark.slow
 def test_columns_of_unknown_noise_do_not_hide_that_a_scene_is_wrong():
     """A joint point is elsewhere by 0.15 mm: residuals of an angle are twice its noise, 0.1 mrad."""
     scene = replace(load("slider_crank"), duration=1.0, output_period=0.02)
@@ -324,6 +326,7 @@ def test_columns_of_unknown_noise_do_not_hide_that_a_scene_is_wrong():
     assert verdicts[1].degrees_of_freedom == pytest.approx(50.0, abs=1e-2)
 
 
+@pytest.mark.slow
 def test_probabilities_of_a_right_scene_are_uniform_beside_columns_of_unknown_noise():
     """Half of them are between a quarter and three, as far as 40 draws tell.
 
@@ -346,6 +349,7 @@ def test_probabilities_of_a_right_scene_are_uniform_beside_columns_of_unknown_no
     assert binom.ppf(1e-6, 40, 0.5) <= middle <= binom.isf(1e-6, 40, 0.5)
 
 
+@pytest.mark.slow
 def test_a_scene_that_is_wrong_is_said_to_be():
     """Joint points that are elsewhere: what masses do together stays, whatever else they could hide."""
     scene = replace(load("slider_crank"), duration=1.0, output_period=0.02)
@@ -378,6 +382,7 @@ def test_columns_that_the_scene_does_not_move_like_are_named():
     assert identify(sprung(), ["line.stiffness"], data).unlike == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("given", [True, False])
 def test_a_start_that_the_first_row_contradicts_is_named(given):
     """Off by 5 mrad, fifty times the noise, whether that is given or seen in the data alone."""

@@ -76,6 +76,7 @@ def test_of_given_noise_alone_the_misfit_is_chi_squared():
     assert noise.probability == pytest.approx(chi2.sf(squares, 9))
 
 
+@pytest.mark.slow
 def test_probabilities_are_uniform_beside_columns_of_unknown_noise():
     """Of a right model, over 500 draws; the fit takes a fifth of the column with given noise.
 

@@ -45,6 +45,7 @@ def test_branches_of_the_tracker_are_those_of_its_loop_equations(heights):
             assert np.sum(distances(rotation, found) < 1e-9) == 2
 
 
+@pytest.mark.slow
 def test_each_branch_is_followed_from_its_pose():
     scene, heights = load("tracker"), {"slide_12": 0.01, "slide_13": 0.02}
     branches = assembly_branches(scene, heights)

@@ -175,6 +175,7 @@ def test_goals_farther_than_steps_go_come_to_an_end():
     assert "nearest pose not found" in poses.report()[0]
 
 
+@pytest.mark.slow
 def test_direction_out_of_reach_has_the_smallest_angle():
     """Compared with all poses of a grid, none of which is nearer."""
     scene = load("tracker")

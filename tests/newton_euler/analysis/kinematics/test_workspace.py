@@ -31,6 +31,7 @@ def test_map_of_the_tracker():
         np.testing.assert_allclose(found.poses.direction[k], [*flat, np.sin(elevation)], atol=1e-14)
 
 
+@pytest.mark.slow
 def test_singular_curves_of_the_tracker_are_those_of_its_loop_equations():
     """There the equations by hand have a double solution: two more on one side of the curve."""
     scene = load("tracker")

@@ -331,6 +331,7 @@ def test_modes_are_those_of_simulated_small_motions(scene_of, names, span, ampli
         assert np.abs(found - each).min() < 1e-7 * abs(each)  # errors of runs over the amplitude
 
 
+@pytest.mark.slow
 def test_modes_of_the_tracker_are_those_of_small_motions_where_its_run_ends():
     """The weight pulls the sliders far down. The pose is the end of a run of 20 s, without any search."""
     scene, names = load("tracker_gravity"), ("slide_12", "slide_13")
@@ -446,6 +447,7 @@ def test_states_that_cannot_be(tracker):
         linearize(tracker, torn)
 
 
+@pytest.mark.slow
 def test_equilibrium_holds_prescribed_motions_where_they_begin(tracker):
     motion = PrescribedMotion("slide_13", Polynomial((0.005, 0.02)))
     scene = replace(tracker, control=tracker.control[:1], motions=(motion,))

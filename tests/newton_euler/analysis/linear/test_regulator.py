@@ -66,6 +66,7 @@ def test_gains_are_the_cheapest():
     assert costs[1] < min(costs[0], costs[2])
 
 
+@pytest.mark.slow
 def test_the_tracker_is_held_and_brought_to_targets():
     """Under gravity: u_0 holds it at its initial pose; targets are followed by both sliders."""
     scene = load("tracker_gravity")

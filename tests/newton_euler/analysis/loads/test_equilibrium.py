@@ -99,6 +99,7 @@ def test_a_start_at_rest_in_equilibrium_is_returned():
     assert np.array_equal(found.state.position, initial_state(scene).position)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("forces", [(), (JointSpring("rail", 0.0, 2.0),)])
 def test_falling_without_end_is_refused_in_one_line(forces):
     """Without a damper the mass falls ever faster, with one at a constant speed."""
@@ -156,6 +157,7 @@ def test_passages_of_a_slider_crank_are_its_dead_centers():
     assert passage(scene, path, coordinates=["pivot"]).rows == ()
 
 
+@pytest.mark.slow
 def test_the_tracker_falls_through_a_singular_configuration():
     """Its run ends on another branch: the initial branch has no pose with sliders as low."""
     scene = load("tracker_gravity")

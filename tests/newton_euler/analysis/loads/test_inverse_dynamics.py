@@ -167,6 +167,7 @@ def test_forces_are_those_of_the_other_engines_equations(name, engine):
         assert found.actuator_force == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_redundant_actuators_share_by_least_norm_in_newton_meters(tracker):
     scene = replace(tracker, gravity=-G * Z)
     actuators = ("slide_12", "slide_13", "hinge_14")
@@ -190,6 +191,7 @@ def test_redundant_actuators_share_by_least_norm_in_newton_meters(tracker):
     assert abs(cosine) < 1e-9
 
 
+@pytest.mark.slow
 def test_actuators_on_other_coordinates_than_the_wanted_ones(tracker):
     scene = replace(tracker, gravity=-G * Z)
     wanted = {"hinge_14": 0.4, "slide_13": -0.2}
@@ -296,6 +298,7 @@ def test_static_reactions_are_those_of_the_other_engines(engine):
     assert np.abs(found.linear_acceleration).max() * weight < 1e-8 * scale
 
 
+@pytest.mark.slow
 def test_poses_with_rates_are_the_states_of_a_run(tracker):
     """Forces of the laws from coordinates, rates and accelerations alone, no state of the run."""
     run = simulate(replace(tracker, duration=1.0, output_period=0.1))
@@ -330,6 +333,7 @@ def test_rates_of_some_coordinates_move_others_with_the_least_energy():
         inverse_dynamics(scene, still, {"rail": 0.5}, rates={"pin": 1.0})
 
 
+@pytest.mark.slow
 def test_prescribed_motions_act_with_their_functions_at_each_time(tracker):
     """A spline and a polynomial that is the same: the slider's force under one and under the other."""
     times = np.linspace(0.0, 1.0, 21)

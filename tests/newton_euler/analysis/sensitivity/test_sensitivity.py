@@ -226,6 +226,7 @@ def test_values_beside_those_of_the_scene():
     assert np.abs(found.position[..., 3] - by_height).max() < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("formulation", ["relative", "cartesian"])
 def test_tangents_stay_on_the_linearized_constraints(formulation):
     """Every few steps and at outputs: Phi_q S + Phi_p = 0 and its rate, to round-off."""
@@ -289,6 +290,7 @@ def test_joint_coordinates_have_derivatives():
     assert np.abs(found.joint("pivot").rates[..., 0] - rates).max() < 1e-10
 
 
+@pytest.mark.slow
 def test_a_mechanism_in_equilibrium_has_derivatives():
     """The tracker, by the force of an actuator, against a central difference."""
     scene, name, step = load("tracker"), "slide_12.feedforward", 1e-2
