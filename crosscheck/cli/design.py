@@ -113,7 +113,7 @@ def loads_command(
     """Compute joint reactions and actuator forces of load cases.
 
     A table has the largest loads over all cases. newton_euler computes the loads. `crosscheck run` compares
-    the reactions of all engines.
+    the reactions of all engines at random states.
 
     The exit status is 4 if elements of the file act that are not simulated.
     """

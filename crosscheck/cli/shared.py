@@ -161,12 +161,16 @@ def engines_option(command: Callable[..., int], text: str = ENGINES_HELP) -> Cal
     """Add the option `--engines` to a command; its default is None and means those of the registry."""
 
     def names(context: click.Context, _: click.Parameter, given: str | None) -> list[str] | None:
-        from crosscheck.engines.registry import choose
+        from crosscheck.engines import registry
 
         if given is None:
             return None
         wanted = [name.strip() for name in given.split(",") if name.strip()]
-        choose(wanted)
+        chosen = {engine.name for engine in registry.choose(wanted)}
+        missing = [name for name in registry.names() if name not in chosen]
+        if registry.ALL in wanted and missing:
+            hint = "`crosscheck list` prints how to install them"
+            click.echo(f"engines that are not installed: {', '.join(missing)}; {hint}", err=True)
         return wanted
 
     return click.option("--engines", metavar="NAMES", callback=names, help=text)(command)

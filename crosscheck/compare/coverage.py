@@ -37,6 +37,7 @@ from crosscheck.compare.joint_loads import JointLoads
 from crosscheck.compare.run_differences import orientations_apart, positions_apart
 from crosscheck.engines.adaptive import native_refined, native_run, newton_euler_options
 from crosscheck.engines.engine import MAX_RELATIVE_ERROR
+from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System, at_time
 from newton_euler.errors import AssemblyError, NearlyRedundantWarning, NewtonEulerError, SingularityError
@@ -87,9 +88,12 @@ class Coverage:
 
     Attributes:
         elements: the elements.
+        is_prescribed: True if prescribed motions determine all poses. Masses and forces then change only
+            reactions and the forces of drives, and no motion of bodies tests them.
     """
 
     elements: tuple[Covered, ...]
+    is_prescribed: bool = False
 
     @cached_property
     def untested(self) -> tuple[Covered, ...]:
@@ -148,7 +152,10 @@ def covered_by(scene: Scene, length: float, angle: float, end: int | None = None
     """
     all_elements = tuple(elements(scene))
     runs = _ChangedRuns(scene, all_elements, length, angle, end)
-    return Coverage(tuple(Covered(each.name, runs.effect(each), each.shared) for each in all_elements))
+    return Coverage(
+        tuple(Covered(each.name, runs.effect(each), each.shared) for each in all_elements),
+        is_prescribed=bool(scene.motions) and mobility(scene).degrees_of_freedom == 0,
+    )
 
 
 class _ChangedRuns:

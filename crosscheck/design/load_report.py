@@ -57,6 +57,18 @@ LOAD_COMPONENTS = {"force": ("axial force", "shear force"), "torque": ("axial to
 """Components of forces and torques along and across the axis, for joints with one axis, by quantity."""
 
 
+class CoarsePeak(NamedTuple):
+    """A joint whose peak force depends on the output period.
+
+    Attributes:
+        joint: name of the joint.
+        excess: estimate of the relative excess of the force between outputs over its largest output.
+    """
+
+    joint: str
+    excess: float
+
+
 class CaseNotes(NamedTuple):
     """Facts about load cases that the report mentions, by the name of the case.
 
@@ -67,6 +79,7 @@ class CaseNotes(NamedTuple):
         held_winds: winds that vary in time and have a constant speed at rest.
         winds: flow on the plates of wind loads.
         acting: elements of the model file that would have acted and are not simulated.
+        coarse: joints with peaks that the output period may cut off.
         from_model_file: True for a model file, which has the option `excitation`.
     """
 
@@ -76,6 +89,7 @@ class CaseNotes(NamedTuple):
     held_winds: Mapping[str, Sequence[HeldWind]]
     winds: Mapping[str, Sequence[WindRange]]
     acting: Mapping[str, Sequence[ImportedElement]]
+    coarse: Mapping[str, CoarsePeak]
     from_model_file: bool
 
 
@@ -127,6 +141,11 @@ def load_report(
         where = f"cases {', '.join(notes.motionless)}" if named else "the run"
         advice = EXCITE if notes.from_model_file else ""
         parts.append(Lines("", [f"nothing moves in {where}: these are loads at rest{advice}"]))
+    if notes.coarse:
+        joint, excess = max(notes.coarse.values(), key=lambda each: each.excess)
+        larger = f"the force of {joint!r} is about {100.0 * excess:.2g} % larger between outputs"
+        warning = f"outputs are too far apart for the peaks: {larger}; use a shorter output_period"
+        parts.append(Lines("", [warning], verdict="doubtful"))
     parts.extend(Lines("", [line, NOT_UNIQUE]) for line in undetermined_lines(scene))
     judged = Cell(text="", verdict="doubtful" if notes.acting else "")  # the color of the verdict
     forces = [

@@ -14,10 +14,12 @@ from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from crosscheck.compare.activity import watched
 from crosscheck.compare.runs import nothing_moves
 from crosscheck.design.load_plots import load_figure
-from crosscheck.design.load_report import CaseNotes, load_report, negligible_force
+from crosscheck.design.load_report import CaseNotes, CoarsePeak, load_report, negligible_force
 from crosscheck.design.wind_validity import wind_ranges
 from crosscheck.library import option_values
 from crosscheck.report.plots import png
@@ -26,13 +28,20 @@ from crosscheck.report.table import Report
 from crosscheck.support.files import check_writable, write_files
 from crosscheck.support.time_limits import limited
 from newton_euler.analysis.linear.linear_model import label
-from newton_euler.analysis.loads.envelope import LoadEnvelope, LoadRange, load_envelope
+from newton_euler.analysis.loads.envelope import LoadEnvelope, LoadRange, joint_loads, load_envelope
 from newton_euler.analysis.loads.rest import HeldWind, rest_case, wind_at_peak
 from newton_euler.model.scene import OUTPUTS, Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.import_report import ImportedElement, ImportReport
 from newton_euler.runs.assemble import initial_state, measured_coordinate
 from newton_euler.runs.simulate import simulate
+
+MAX_PEAK_EXCESS = 0.005
+"""Relative excess of a peak force between outputs over the outputs, above which the output period counts as
+long: the tables print forces to three digits."""
+
+MIN_JUDGED_FORCE = 0.01
+"""Peak force of a joint, relative to the largest one, below which its peak is not judged."""
 
 
 class LoadCase(NamedTuple):
@@ -117,6 +126,7 @@ def loads(
             for name, case in cases.items()
         },
         acting=acting,
+        coarse={name: found for name, run in runs.items() if (found := coarse_peak(first_scene, run))},
         from_model_file=any(case.import_report is not None for case in cases.values()),
     )
     report = load_report(first_scene, envelope, envelopes, at_rest, notes)
@@ -147,6 +157,26 @@ def loads(
     }
     write_files({**texts, **shown})
     return Loads(report, [table, case_table, results, plot, recording], acting)
+
+
+def coarse_peak(scene: Scene, run: Trajectory) -> CoarsePeak | None:
+    """Find the joint whose largest force exceeds its outputs most; None if the output period is short enough.
+
+    The force between outputs is estimated by the vertex of the parabola through an output and its neighbors.
+    """
+    found = []
+    for load, values in joint_loads(scene, run).items():
+        if load.quantity == "force":
+            before, peak, after = values[:-2], values[1:-1], values[2:]
+            # a neighbor below half of the peak is a jump, as at a step of an input, which has no vertex
+            is_peak = (peak > np.maximum(before, after)) & (np.minimum(before, after) > 0.5 * peak)
+            rise = (before - after)[is_peak] ** 2 / (8.0 * (2.0 * peak - before - after)[is_peak])
+            vertex = float(np.max(peak[is_peak] + rise, initial=0.0))
+            found.append((vertex - float(values.max()), vertex, load.element))
+    largest = max((vertex for _, vertex, _ in found), default=0.0)
+    excess, vertex, joint = max(found, default=(0.0, 0.0, ""))
+    is_coarse = excess > MAX_PEAK_EXCESS * vertex and vertex > MIN_JUDGED_FORCE * largest
+    return CoarsePeak(joint, excess / (vertex - excess)) if is_coarse else None
 
 
 def _start(scene: Scene) -> dict[str, tuple[float, str]]:

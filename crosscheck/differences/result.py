@@ -89,6 +89,11 @@ class FileComparison:
         return tuple(dict.fromkeys((*self.first.robot.unmodeled, *self.second.robot.unmodeled)))
 
     @property
+    def prescribed(self) -> tuple[str, ...]:
+        """Joint coordinates whose motion either file prescribes; they move freely in compared motions."""
+        return tuple(dict.fromkeys((*self.first.robot.prescribed, *self.second.robot.prescribed)))
+
+    @property
     def _can_move(self) -> bool:
         """True if one of the robots has joints."""
         return any(body.joints for file in (self.first, self.second) for body in file.robot.bodies)
@@ -101,11 +106,12 @@ class FileComparison:
 
     @cached_property
     def run(self) -> Run | None:
-        """Distance of the bodies in a run from the same start; None for robots without common states.
+        """Distance of the bodies in a run from the same start.
 
-        The robots run at the first use, since a comparison of importers shows no run.
+        None for robots without common states, and for robots with prescribed motions, which the run would
+        leave out. The robots run at the first use, since a comparison of importers shows no run.
         """
-        return run_both(self.states, self.motion)
+        return None if self.prescribed else run_both(self.states, self.motion)
 
     def with_geometry(self, shapes: tuple[FileShapes, FileShapes]) -> FileComparison:
         """Return the comparison with the rows of the shapes of both files after its own."""

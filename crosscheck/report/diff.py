@@ -198,7 +198,8 @@ def motion_text(comparison: FileComparison, sides: Sides) -> str:
             if any(gap.is_open for gap in motion.gaps):
                 return f"poses of {sides[0]} do not fit {sides[1]}: {gap_text(motion)}"
             change = change_text(motion.change)
-            return f"accelerations differ by up to {change}, at {motion.body}, {motion.phase}"
+            without = _without(comparison)
+            return f"accelerations{without} differ by up to {change}, at {motion.body}, {motion.phase}"
         case Likeness.EQUAL | Likeness.ROUNDING:
             states = comparison.states
             is_reduced = states is not None and any(cut.takes_motion for cut in states.cuts)
@@ -429,7 +430,12 @@ def _notes(comparison: FileComparison, unlisted: int) -> Iterator[str]:
         )
     if comparison.unmodeled:
         yield f"no compared motion has the forces of: {', '.join(comparison.unmodeled)}"
-    if comparison.run:
+    if comparison.prescribed:
+        yield (
+            "not simulated, as prescribed motions are left out; to compare them, use `crosscheck loads` and "
+            "`crosscheck run` for each file"
+        )
+    elif comparison.run:
         yield run_text(comparison.run)
     elif comparison.motion.likeness is not Likeness.UNDECIDED:
         yield no_run_text(comparison.motion)

@@ -16,7 +16,7 @@ import numpy as np
 
 from crosscheck.compare.activity import acted
 from crosscheck.compare.allowed_motions import admissible_basis, body_units
-from crosscheck.compare.check import FILE, Check, not_compared, unconverged_reason
+from crosscheck.compare.check import FILE, LEVELS_OF_EQUATIONS, Check, not_compared, unconverged_reason
 from crosscheck.compare.coverage import Coverage
 from crosscheck.compare.note import Note
 from crosscheck.compare.outcome import Verdict
@@ -151,7 +151,7 @@ def _untested_table(coverage: Coverage) -> Table:
     rows: Rows = [
         [each.element, SAME_CODE if each.shared else f"{each.effect:.1e}"] for each in coverage.untested
     ]
-    title = "untested by the motion: 10 % more of these does not show"
+    title = "untested by the motion: 10 % more of these changes no pose"
     columns = [Column("element"), *number_columns("effect (detectable above 1)")]
     return Table(title, columns, rows, folded=True)
 
@@ -325,11 +325,7 @@ def notes(result: EngineComparison) -> Iterator[str]:
     if result.by_runs_only and result.trajectories:
         yield f"{Note.BY_RUNS_ONLY}, not by equations of motion: {', '.join(result.by_runs_only)}"
     yield from not_compared(result.checks)
-    untested = result.coverage.untested if result.coverage else ()
-    for note, shared in ((Note.UNTESTED_CODE, True), (f"{Note.UNTESTED}, 10 % more would not show", False)):
-        if names := [covered.element for covered in untested if covered.shared == shared]:
-            listed = f", {ALL_LISTED}" if len(names) > MAX_NAMES else ""
-            yield f"{note}: {_name_list(names)}{listed}"
+    yield from _untested_lines(result)
 
     # the model file, and the start
     mapping = result.mapping
@@ -353,6 +349,20 @@ def notes(result: EngineComparison) -> Iterator[str]:
     if mapping and result.trajectories:
         yield _start_line(result)
         yield from _inactive_lines(mapping)
+
+
+def _untested_lines(result: EngineComparison) -> Iterator[str]:
+    """Yield sentences on elements that the motion does not test, and on what is compared instead."""
+    if not result.coverage:
+        return
+    untested = result.coverage.untested
+    changes = "as all poses are prescribed" if result.coverage.is_prescribed else "10 % more changes no pose"
+    if any(check.level == LEVELS_OF_EQUATIONS[-1] and check.judged for check in result.checks):
+        changes += "; accelerations and reactions are compared at random states"
+    for note, shared in ((Note.UNTESTED_CODE, True), (f"{Note.UNTESTED}, {changes}", False)):
+        if names := [covered.element for covered in untested if covered.shared == shared]:
+            listed = f", {ALL_LISTED}" if len(names) > MAX_NAMES else ""
+            yield f"{note}: {_name_list(names)}{listed}"
 
 
 def redundancy_lines(scene: Scene) -> Iterator[str]:

@@ -119,7 +119,9 @@ def _coverage_steps(result: EngineComparison) -> Iterator[str]:
     """Yield a step on elements that the motion does not test, unless it tests none."""
     untested = result.coverage.untested if result.coverage else ()
     names = [each.element for each in untested if not each.shared]
-    if names and not result.untested:
+    if result.coverage and result.coverage.is_prescribed:
+        yield "All poses are prescribed, and masses change only forces: see `crosscheck loads`."
+    elif names and not result.untested:
         yield f"To test {_listed(names)}, choose a motion that depends on them; this one does not."
 
 

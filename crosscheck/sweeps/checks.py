@@ -26,7 +26,7 @@ from crosscheck.compare.crosscheck import Crosscheck, crosscheck
 from crosscheck.compare.run_checks import MAX_REMAINING_ERROR
 from crosscheck.engines.engine import MAX_RELATIVE_ERROR, Engine
 from crosscheck.engines.newton_euler import EXACT_ATOL, EXACT_RTOL
-from crosscheck.engines.registry import ENGINES, SOLVER
+from crosscheck.engines.registry import SOLVER
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.time_limits import with_progress
 from crosscheck.sweeps.expressions import Outputs
@@ -209,7 +209,7 @@ def _check(
 
 
 def result_line(checked: Sequence[CheckedRun], extremes: Collection[int]) -> str:
-    """Report the crosschecks in one line: the first failure, or the check closest to failing.
+    """Report the crosschecks in one line: the first failure, or the engines that agree.
 
     Args:
         checked: the crosschecks.
@@ -233,18 +233,19 @@ def result_line(checked: Sequence[CheckedRun], extremes: Collection[int]) -> str
         wrong = [check for check in each.kept if not check.agrees]
         if wrong:
             return f"{named}: {_difference(max(wrong, key=_tolerance_ratio))}; {of_runs} cross-checked"
-    # No failure: the check of kept outputs closest to failing
-    kept = [check for each in checked for check in each.kept]
-    judged = [check for check in kept if check.judged]
+    # No failure
     engines = checked[0].engines
-    who = "the default engines agree" if set(engines) == set(ENGINES) else f"{', '.join(engines)} agree"
-    if len(engines) == 1:
-        who = f"{engines[0]} passes"
-    found = f"{who} in all checks of {of_runs}"
-    if judged:
-        nearest = _difference(max(judged, key=_tolerance_ratio))
-        found += f"; stored outputs agree, too, closest to failing: {nearest}"
-    # The reasons why numbers are not judged
+    who = f"{engines[0]} passes" if len(engines) == 1 else f"{', '.join(engines)} agree in"
+    found = f"{who} all checks of {of_runs}"
+    return found if any(each.moves for each in checked) else f"{found}; nothing moves"
+
+
+def output_lines(checked: Sequence[CheckedRun]) -> Iterator[str]:
+    """Yield the check closest to failing among the outputs of cross-checked runs, and what is not judged."""
+    kept = [check for each in checked for check in each.kept]
+    if judged := [check for check in kept if check.judged]:
+        nearest = max(judged, key=_tolerance_ratio)
+        yield f"outputs in other engines, closest to failing: {_difference(nearest)}"
     soft = sorted({check.between[0] for check in kept if check.detail == SOFT_CONSTRAINTS})
     unconverged = sum(bool(check.unconverged) for check in kept)
     not_judged = [f"reactions of {name} (soft constraints)" for name in soft]
@@ -252,8 +253,8 @@ def result_line(checked: Sequence[CheckedRun], extremes: Collection[int]) -> str
     not_judged += (
         [f"{unconverged} outputs whose difference a finer run reduces too little"] if unconverged else []
     )
-    found += f"; not judged: {', '.join(not_judged)}" if not_judged else ""
-    return found if any(each.moves for each in checked) else f"{found}; nothing moves"
+    if not_judged:
+        yield f"outputs not judged: {', '.join(not_judged)}"
 
 
 def _tolerance_ratio(check: Check) -> float:

@@ -17,7 +17,7 @@ from crosscheck.engines.registry import SOLVER
 from crosscheck.report.run import undetermined_lines
 from crosscheck.report.table import Cell
 from crosscheck.sweeps.analysis import Analysis, Effect
-from crosscheck.sweeps.checks import CheckedRun, result_line
+from crosscheck.sweeps.checks import CheckedRun, output_lines, result_line
 from crosscheck.sweeps.kept_numbers import KeptNumber, analyzed, kept_numbers, most_informative
 from crosscheck.sweeps.plan import SweepPlan, run_all
 from crosscheck.sweeps.results import SweepResults
@@ -51,13 +51,13 @@ class Findings:
 
     @property
     def verdict(self) -> str:
-        """One line: whether the engines agree on the checked runs, and how many runs completed."""
+        """One line: how many runs completed, and whether the engines agree on the checked runs."""
         runs, failed = self.swept.plan.samples.runs, len(self.swept.failed_runs)
         completed = f"{runs - failed:,} of {runs:,} run{'s' * (runs != 1)} completed"
         text = f"{completed}; none was cross-checked"
         if self.checked:
             extremes = {scalar.extreme(largest) for scalar, _ in self.effects for largest in (True, False)}
-            text = f"{result_line(self.checked, extremes)}; {completed}"
+            text = f"{completed}; {result_line(self.checked, extremes)}"
         text = "; ".join(filter(None, [self._not_simulated, text]))
         return f"{self.outcome}: {text}" if self.outcome else text
 
@@ -90,10 +90,11 @@ class Findings:
 
     @cached_property
     def notes(self) -> list[str]:
-        """Lines of `start`, and, if a kept number depends on reactions, lines on joint reactions that are not
-        unique because of redundant constraints."""
+        """Lines of `start`, on outputs in other engines, and, if a kept number depends on reactions, on joint
+        reactions that are not unique because of redundant constraints."""
         depends_on_reactions = any(each.depends_on_reactions for each in self.scalars)
-        return [*self.start, *(undetermined_lines(self.swept.plan.scene) if depends_on_reactions else ())]
+        not_unique = undetermined_lines(self.swept.plan.scene) if depends_on_reactions else ()
+        return [*self.start, *output_lines(self.checked), *not_unique]
 
     @property
     def judged(self) -> Cell:

@@ -30,6 +30,9 @@ REDUCTION_PATTERN = re.compile(
 )
 """Form of the text of a reduction: [NAME=]KIND[(TIMES)]:EXPRESSION."""
 
+SECOND_KIND_PATTERN = re.compile(r"\w+(\([^()]*\))?:")
+"""A kind within an expression, such as `minimum:`, which is an error."""
+
 REDUCTION_FORM = "[NAME=]KIND:OUTPUT, as peak:reaction_force"
 """Form of the text and an example, for error messages."""
 
@@ -89,6 +92,7 @@ REDUCTIONS: dict[str, Callable[[Array, Array], Array]] = {
     "mean": _mean,
     "minimum": lambda values, times: values.min(axis=1),
     "maximum": lambda values, times: values.max(axis=1),
+    "range": lambda values, times: values.max(axis=1) - values.min(axis=1),
     WHEN: _first_above,
 }
 """Functions of values (runs, n, ...) and times (n,), s, by kind of reduction. The result has the shape
@@ -237,7 +241,12 @@ def _parsed(text: str, parts: re.Match[str], scene: Scene) -> Reduction:
     """Make the reduction of a matched text; raises `CrosscheckError` or `ValueError`."""
     kind, expression_text, times = parts["kind"], parts["of"].strip(), parts["times"]
     if kind not in (*REDUCTIONS, AT) or (times is None) != (kind != AT):
-        raise ValueError(f"unknown reduction; {choices(kind, [*REDUCTIONS, 'at(TIME; ...)'])}")
+        raise ValueError(f"unknown kind of output; {choices(kind, [*REDUCTIONS, 'at(TIME; ...)'])}")
+    if ";" not in expression_text and (second := SECOND_KIND_PATTERN.search(expression_text)):
+        raise ValueError(
+            f"{second.group()!r} in the expression; needed: one kind in front of the whole expression; a "
+            "stroke, maximum minus minimum, is stroke=range:slider.position.x"
+        )
     if kind == WHEN:  # a > b becomes a - b, which is positive after the event
         left, sign, right = expression_text.partition(">" if ">" in expression_text else "<")
         if not sign or not left.strip() or not right.strip():

@@ -38,9 +38,9 @@ from newton_euler.equations.parameters import origins
 from newton_euler.runs.initial_coordinates import initial_numbers
 from newton_euler.runs.variation import own_values, units_of
 
-MAX_PRINTED_ROWS = 6
-"""Largest number of kept numbers in the terminal. With the next three limits, the printed report has about 25
-lines."""
+MAX_PRINTED_ROWS = 12
+"""Largest number of kept numbers in the terminal: those of all joints of a small mechanism. With the next
+three limits, the printed report has about 30 lines."""
 
 MAX_PRINTED_CHARTS = 2
 """Largest number of charts of effects in the terminal."""
@@ -59,12 +59,6 @@ BAR_WIDTH = 10
 
 MIN_QUANTILE_DIGITS, MAX_QUANTILE_DIGITS = 4, 11
 """Smallest and largest number of significant digits of quantiles; numbers that vary little need many."""
-
-WIDE_TABLE_DIGITS = 6
-"""Number of digits of quantiles above which a table is wider than the terminal: each row takes two lines."""
-
-MAX_WIDE_TABLE_ROWS = 3
-"""Largest number of rows of such a wide table in the terminal."""
 
 NUMBER_PATTERN = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?(?![\w.])")
 """Numbers in the reason of a failed run; reasons that differ in numbers only are counted together."""
@@ -116,8 +110,6 @@ def report(found: Findings) -> Report:
         if len(swept.failed_runs) < samples.runs:
             notes.append("the varied parameters have no effect on the kept outputs")
     printed = most_varying(varying)[:MAX_PRINTED_ROWS]
-    if any(_digits(each) > WIDE_TABLE_DIGITS for each in printed):
-        printed = printed[:MAX_WIDE_TABLE_ROWS]
     printed.sort(key=found.scalars.index)
     summary: list[Part] = [_quantiles(found, printed, "")]
     summary += [

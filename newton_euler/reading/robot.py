@@ -342,6 +342,9 @@ class Setting(NamedTuple):
 SettingValue = tuple[float, ...] | str | FilePlace
 """Numbers, a word or a place of a model file."""
 
+PRESCRIBED_MOTION = "prescribed motion"
+"""Name of the setting of a joint coordinate whose motion a scene prescribes."""
+
 
 @dataclass(frozen=True, eq=False)
 class Robot:
@@ -389,6 +392,11 @@ class Robot:
         )
         of_drives = (f"drive {drive.name!r}" for drive in self.drives if not drive.is_modeled)
         return (*of_settings, *of_drives)
+
+    @property
+    def prescribed(self) -> tuple[str, ...]:
+        """Names of joint coordinates whose motion is prescribed. The description lets them move freely."""
+        return tuple(key.element for key in self.settings if key.name == PRESCRIBED_MOTION)
 
     def loop_name(self, loop: FileLoop | FileSpring) -> str:
         """Return the name of a loop or spring, or those of its bodies if it has no name."""

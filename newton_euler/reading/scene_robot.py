@@ -44,6 +44,7 @@ from newton_euler.model.spanning_tree import (
 from newton_euler.model.switched_forces import JointFriction, JointStop, acting_stops
 from newton_euler.reading.robot import (
     IN_PLACE,
+    PRESCRIBED_MOTION,
     FileBody,
     FileCoupling,
     FileDrive,
@@ -55,6 +56,7 @@ from newton_euler.reading.robot import (
     Placement,
     Robot,
     RobotFile,
+    Setting,
 )
 
 LOOP_KINDS: dict[type[Joint], LoopKind] = {
@@ -107,6 +109,7 @@ class _Description:
             drives=tuple(self._drives()),
             springs=tuple(self._springs()),
             gravity=np.array(scene.gravity),
+            settings=dict(self._prescribed_motions()),
         )
         self._note_rest()
 
@@ -282,6 +285,12 @@ class _Description:
                     rest=(float(spring.rest_length), float(spring.rest_length)),
                 )
 
+    def _prescribed_motions(self) -> Iterator[tuple[Setting, str]]:
+        """Yield the functions of prescribed motions, as text, by joint coordinate."""
+        for motion in self._scene.motions:
+            name = coordinate_name(self._mechanism.joint(motion.joint), motion.coordinate)
+            yield Setting("joint", name, PRESCRIBED_MOTION, exerts=True), repr(motion.function)
+
     def _note_rest(self) -> None:
         """Add notes of what the scene has and the robot has not."""
         kinds = Counter(
@@ -294,8 +303,6 @@ class _Description:
             self.notes.append(
                 "of dry friction the Coulomb friction is described, of stops the limit, and no other numbers"
             )
-        if self._scene.motions:
-            self.notes.append("prescribed motions are not described")
 
 
 def _spring_and_damper(spring: JointSpring | BallSpring) -> dict[str, float]:

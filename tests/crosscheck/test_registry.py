@@ -10,7 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from command_line import run
+from command_line import run, scene_file, short_example
 
 from crosscheck.cli.shared import DEFAULT_ENGINES
 from crosscheck.engines import registry
@@ -190,6 +190,14 @@ def test_unusable_engines_leave_the_others_untouched(registered, capsys, tmp_pat
     assert "AGREE (3 of 5 engines): newton_euler, mujoco, pinocchio agree" in out
     assert "numpy>=9999.10" in out
     assert "a library is missing" in out
+
+
+def test_all_engines_are_asked_for_and_the_missing_ones_are_named(registered, capsys, tmp_path):
+    registered(absent="ABSENT")
+    path = scene_file(tmp_path, short_example())
+    _, out, err = run(capsys, "run", path, "--engines", "all", "--output", tmp_path / "out")
+    assert "absent" not in out
+    assert "engines that are not installed: absent;" in err
 
 
 def test_the_help_names_the_default_engines():

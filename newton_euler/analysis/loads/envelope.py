@@ -17,6 +17,7 @@ import numpy as np
 
 from newton_euler.arguments import checked
 from newton_euler.errors import MechanismError, UnknownNameError
+from newton_euler.model.elements import OnCoordinate
 from newton_euler.model.euler_parameters import rotations
 from newton_euler.model.joint import Joint, perpendicular_pair
 from newton_euler.model.joint_parts import are_parallel
@@ -144,10 +145,11 @@ def load_envelope(scene: Scene, runs: Trajectory | Mapping[str, Trajectory]) -> 
       `torque u`, `torque w`. Axes u, w and the joint's axis form a right-handed frame that turns with the
       first body.
 
-    Values between output times are not examined. The force of a prescribed motion is part of the axial load
-    of its joint. The force of a control law is not part of a joint's load. Its force is the load of an
-    actuator, which has the name of the joint coordinate that the law acts on: `actuator force` (N or N m),
-    `speed` (m/s or rad/s), `power` (W), and `work` and `energy` (J) up to each time, see `work_and_energy`.
+    Values between output times are not examined. Control laws and prescribed motions are actuators. An
+    actuator has the name of its joint coordinate, and these loads: `actuator force` (N or N m), `speed` (m/s
+    or rad/s), `power` (W), and `work` and `energy` (J) up to each time, see `work_and_energy`. The force of a
+    control law is not part of a joint's load. The force of a prescribed motion is the axial load of its
+    joint, so that joints with axes that are not parallel have no such actuator.
 
     Args:
         scene: the mechanism and its control laws.
@@ -237,18 +239,26 @@ def _axes(scene: Scene, joint: Joint, run: Trajectory) -> Floats | None:
 
 
 def actuator_loads(scene: Scene, run: Trajectory) -> dict[Load, Array]:
-    """Compute the loads (n,) of all actuators over a run, see `load_envelope`."""
-    loads: dict[Load, Array] = {}
+    """Compute the loads (n,) of control laws and prescribed motions over a run, see `load_envelope`."""
+    of_joints = joint_loads(scene, run)
+    forces: list[tuple[OnCoordinate, Array]] = []
     for k, law in enumerate(scene.control):
         assert run.actuator_force is not None
-        joint = scene.mechanism.joint(law.joint)
-        name, is_slide = coordinate_name(joint, law.coordinate), scene.mechanism.is_slide(*law.key)
-        force = run.actuator_force[:, k]
+        forces.append((law, run.actuator_force[:, k]))
+    for motion in scene.motions:
+        what, unit = ("force", "N") if scene.mechanism.is_slide(*motion.key) else ("torque", "N m")
+        axial = of_joints.get(Load(motion.joint, f"axial {what}", unit))
+        if axial is not None:
+            forces.append((motion, axial))
+    loads: dict[Load, Array] = {}
+    for actuator, force in forces:
+        joint = scene.mechanism.joint(actuator.joint)
+        name, is_slide = coordinate_name(joint, actuator.coordinate), scene.mechanism.is_slide(*actuator.key)
         # a trajectory measures joint coordinates by its mechanism, which a run of another engine may lack
-        motion = replace(run, mechanism=scene.mechanism).joint(joint.name)
-        assert motion.rates is not None
-        speed = motion.rates[:, law.coordinate]
-        work, energy = work_and_energy(force, motion.coordinates[:, law.coordinate])
+        measured = replace(run, mechanism=scene.mechanism).joint(joint.name)
+        assert measured.rates is not None
+        speed = measured.rates[:, actuator.coordinate]
+        work, energy = work_and_energy(force, measured.coordinates[:, actuator.coordinate])
         for quantity, unit, values in (
             ("actuator force", "N" if is_slide else "N m", force),
             ("speed", "m/s" if is_slide else "rad/s", speed),

@@ -16,8 +16,10 @@ import newton_euler
 from crosscheck.compare import crosscheck as run
 from crosscheck.compare.changes import CHANGE
 from crosscheck.compare.coverage import covered_by
+from crosscheck.compare.note import Note
 from crosscheck.engines.registry import choose
 from crosscheck.library import load
+from crosscheck.report.run import notes
 from crosscheck.studies.stress.noise import flat_four_bar
 from newton_euler.model.armatures import Armature
 from newton_euler.model.compound_joint import Compound
@@ -178,6 +180,27 @@ def test_prescribed_motions_are_elements():
         scene = mass_on_rail(duration=0.5, motions=(PrescribedMotion("rail", function),))
         found = {each.element: each.tested for each in covered_by(scene, TOLERANCE, TOLERANCE).elements}
         assert found["motion of joint 'rail'"] == tested
+
+
+def test_masses_are_untested_where_motions_prescribe_all_poses():
+    """A crank at constant speed: masses change reactions and the drive torque, but no pose."""
+    scene = replace(load("examples/planar_slider_crank.yaml"), duration=0.02)
+    found = covered_by(scene, TOLERANCE, TOLERANCE)
+    assert found.is_prescribed
+    assert {each.element for each in found.untested} == {
+        f"{what} of body {body!r}" for what in ("mass", "inertia") for body in ("crank", "rod", "slider")
+    }
+    free = replace(scene, motions=(), initial_state=None)
+    assert not covered_by(free, TOLERANCE, TOLERANCE).is_prescribed
+
+
+def test_the_note_on_untested_masses_names_the_cause():
+    """Of a driven crank, the note does not ask for more motion."""
+    scene = replace(load("examples/planar_slider_crank.yaml"), duration=0.02)
+    found = run.crosscheck(scene, choose(["newton_euler", "pinocchio"]), lambda _: None, "crank", {})
+    (line,) = [line for line in notes(found) if line.startswith(Note.UNTESTED)]
+    assert "prescribed" in line
+    assert "at random states" in line
 
 
 def test_joints_that_carry_a_load_are_tested_where_nothing_moves():

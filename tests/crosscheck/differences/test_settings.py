@@ -12,7 +12,9 @@ import pytest
 import crosscheck
 from crosscheck.compare.outcome import Outcome
 from crosscheck.differences.difference import Quantity, Value
+from crosscheck.library import load
 from crosscheck.report.diff import verdict
+from newton_euler import with_parameters
 from newton_euler.scalars import Array
 
 ARM = """
@@ -298,3 +300,19 @@ def test_tendons_keep_their_meaning_with_other_names_senses_and_zeros_of_joints(
     assert compared_texts(tmp_path, first, moved).outcome is Outcome.DIFFERENT
     fitting = moved.replace('range="-1 1"', f'range="{-1 - np.pi / 2} {1 - np.pi / 2}"')
     assert compared_texts(tmp_path, first, fitting).same
+
+
+def test_prescribed_motions_are_rows_and_no_run_leaves_them_out() -> None:
+    """A crank at constant speed moves its slider in the same way whatever the slider weighs."""
+    scene = load("examples/planar_slider_crank.yaml")
+    heavier = with_parameters(scene, {"slider.mass": 1.1})
+    faster = with_parameters(scene, {"motor.motion.function": (0.0, 31.0)})
+    for other, element, quantity in (
+        (heavier, "slider", Quantity.MASS),
+        (faster, "motor", Quantity.SETTING),
+    ):
+        found = crosscheck.diff(scene, other)
+        (row,) = found.differences
+        assert (row.element, row.quantity) == (element, quantity)
+        assert found.run is None
+        assert "without prescribed motion of joint 'motor'" in verdict(found.comparison)

@@ -260,3 +260,29 @@ def test_wind_at_rest_is_the_largest_of_the_run(speed, held, mean):
     constant, (found,) = wind_at_peak(replace(scene, forces=(upward,)))
     assert (found.component, constant.forces[0].speed) == ("vertical_speed", 3.0)
     assert constant.forces[0].vertical_speed == pytest.approx(held, rel=2e-3)
+
+
+def test_power_of_a_prescribed_drive_is_the_rate_of_energy():
+    """A crank at constant speed: the drive's work is the energy that the run gains.
+
+    Work by the trapezoidal rule over 0.05 s has an error of about 1e-5 of the largest energy.
+    """
+    scene = replace(load("examples/planar_slider_crank.yaml"), duration=0.05, output_period=5e-5)
+    run = newton_euler.simulate(scene)
+    envelope = load_envelope(scene, run)
+    work = newton_euler.analysis.loads.envelope.actuator_loads(scene, run)[Load("motor", "work", "J")]
+    energy = run.kinetic_energy + run.potential_energy
+    assert work == pytest.approx(energy - energy[0], abs=1e-4 * np.ptp(energy))
+    assert envelope.of("motor", "speed").least == pytest.approx(30.0, rel=1e-9)
+    torque, axial = (envelope.of("motor", quantity) for quantity in ("actuator force", "axial torque"))
+    assert (torque.peak, torque.unit) == (axial.peak, "N m")
+
+
+def test_a_prescribed_slide_is_an_actuator_with_a_force():
+    """A mass m that moves by a sin(w t), with no other force along the rail, needs -m a w^2 sin(w t)."""
+    scene = mass_on_rail(duration=0.5, motions=(newton_euler.PrescribedMotion("rail", Sine(0.1, 20.0)),))
+    run = newton_euler.simulate(scene)
+    force = load_envelope(scene, run).of("rail", "actuator force")
+    expected = -scene.mechanism.bodies[1].mass * 0.1 * 20.0**2 * np.sin(20.0 * run.time)
+    assert force.unit == "N"
+    assert (force.least, force.most) == pytest.approx((expected.min(), expected.max()), rel=1e-9)
