@@ -126,7 +126,7 @@ def loads(
             for name, case in cases.items()
         },
         acting=acting,
-        coarse={name: found for name, run in runs.items() if (found := coarse_peak(first_scene, run))},
+        coarse={name: peak for name, run in runs.items() if (peak := coarse_peak(first_scene, run))},
         from_model_file=any(case.import_report is not None for case in cases.values()),
     )
     report = load_report(first_scene, envelope, envelopes, at_rest, notes)
