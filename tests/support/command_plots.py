@@ -33,9 +33,9 @@ REACH_PLACE = "--latitude 11.56 --longitude 104.92 --date 2026-03-21"
 """Place and date of the plot of the sun's positions that can be reached."""
 
 PLOTS = {
-    "workspace": Plot("kinematics.md", "crosscheck workspace tracker ", "workspace/tracker/workspace.png"),
+    "workspace": Plot("workspace.md", "crosscheck workspace tracker ", "workspace/tracker/workspace.png"),
     "excavator_workspace": Plot(
-        "kinematics.md", "crosscheck workspace excavator ", "workspace/excavator/workspace.png"
+        "workspace.md", "crosscheck workspace excavator ", "workspace/excavator/workspace.png"
     ),
     "sweep_scatter": Plot("sweeps.md", "crosscheck sweep tracker --vary ", "sweep/tracker/scatter.png"),
     "sweep_tornado": Plot(
@@ -87,6 +87,9 @@ PLOTS = {
         "sun.md",
         "crosscheck sun --latitude 11.56 --longitude 104.92 --date 2026-03-21",
         "sun/tracker_sun/day.png",
+    ),
+    "sun_seville": Plot(
+        "place_to_tracker.md", "crosscheck sun --latitude 37.39 ", "sun/tracker_sun/day.png"
     ),
     "sun_row": Plot(
         "sun_own_tracker.md",

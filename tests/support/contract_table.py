@@ -1,4 +1,4 @@
-"""Write the table of points of the contract into `docs/how_to/write_an_engine.md`.
+"""Write the table of points of the contract into `docs/reference/engine_contract.md`.
 
 `python tests/support/contract_table.py` writes the page. The table has the docstrings of the points; a test
 compares the page with them.
@@ -10,7 +10,7 @@ from pathlib import Path
 
 from crosscheck.studies.conformance.check import POINTS, explained
 
-PAGE = Path(__file__).parents[2] / "docs" / "how_to" / "write_an_engine.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "engine_contract.md"
 
 BEGIN, END = "<!-- points: begin -->\n", "<!-- points: end -->"
 """Lines around the table of the page."""
