@@ -318,13 +318,20 @@ def identification_friction() -> Figure:
 
 
 def wind() -> Figure:
-    """Plot the coefficients of wind on a square plate over the angle of attack."""
+    """Plot forces of the tracker's sliders over the wind speed, and the coefficients of a square plate."""
+    figure, (left, right) = side_by_side(2)
+    forces = page_table("../how_to/wind.md", "wind speed, m/s")
+    speeds, *sliders = np.array([[float(text) for text in row] for row in forces.rows]).T
+    for slide, force, color in zip(("slide_12", "slide_13"), sliders, (BLUE, VERMILION), strict=True):
+        left.plot(speeds, force, "o-", color=color, label=slide)
+    left.set(xlabel="wind speed, m/s", ylabel="holding force, N")
     table = page_table("../how_to/wind.md", "angle of attack, degrees")
     angles = [float(text) for text in table.heads[1:]]
-    figure, axes = side_by_side(2, 2.8)
-    for ax, row, color in zip(axes, table.rows, (BLUE, VERMILION), strict=True):
-        ax.plot(angles, [float(text) for text in row[1:]], "o-", color=color)
-        ax.set(xlabel="angle of attack, degrees", ylabel=f"coefficient of the {row[0].split(' about')[0]}")
+    for row, color in zip(table.rows, (BLUE, VERMILION), strict=True):
+        right.plot(angles, [float(text) for text in row[1:]], "o-", color=color, label=row[0])
+    right.set(xlabel="angle of attack, degrees", ylabel="coefficient")
+    for ax in (left, right):
+        ax.legend(fontsize="small")
     return figure
 
 
