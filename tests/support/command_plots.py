@@ -88,9 +88,7 @@ PLOTS = {
         "crosscheck sun --latitude 11.56 --longitude 104.92 --date 2026-03-21",
         "sun/tracker_sun/day.png",
     ),
-    "sun_seville": Plot(
-        "place_to_tracker.md", "crosscheck sun --latitude 37.39 ", "sun/tracker_sun/day.png"
-    ),
+    "sun_seville": Plot("place_to_tracker.md", "crosscheck sun --latitude 37.39 ", "sun/tracker_sun/day.png"),
     "sun_row": Plot(
         "sun_own_tracker.md",
         "crosscheck sun row.xml ",
