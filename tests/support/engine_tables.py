@@ -23,13 +23,13 @@ from typing import Any
 from elements import COUPLED, ELEMENTS
 from page_tables import RESULTS, replaced
 
+from crosscheck.compare.outcome import Outcome
 from crosscheck.engines.engine import Engine
 from crosscheck.engines.registry import choose
 from crosscheck.library import SCENES, load
 from crosscheck.report.render import markdown_table
 from crosscheck.report.table import Column, Rows, Table, number_columns, text_columns
 from crosscheck.studies.faults.find import SMALLEST_REQUIRED
-from crosscheck.support.units import SECONDS_AND_MS, quantity_text
 from newton_euler.model.scene import Scene
 
 ERRORS = (1e-3, 1e-5, 1e-7, 1e-9)
@@ -44,44 +44,50 @@ def scenes() -> dict[str, Scene]:
 
 
 def expressed(engines: Iterable[Engine]) -> list[str]:
-    """Lines of the table of scenes that an engine cannot express, with the reasons."""
+    """Lines of the table of scenes that an engine cannot express: a row for each engine and reason."""
     engines = list(engines)
-    rows: Rows = []
     every = scenes()
+    scenes_of: dict[tuple[str, str], list[str]] = {}
     for name, scene in every.items():
-        limits = [engine.limits(scene) for engine in engines]
-        if any(limits):
-            rows.append(
-                [name, *("; ".join(dict.fromkeys(each.reason for each in one)) or "yes" for one in limits)]
-            )
-    count = f"{len(every) - len(rows)} of {len(every)}"
-    table = Table("", text_columns("scene", *(engine.label or engine.name for engine in engines)), rows)
-    lines = [f"Every engine expresses {count} scenes. These are the others:", "", *markdown_table(table)]
-    return lines if rows else [f"Every engine expresses all {len(every)} scenes."]
+        for engine in engines:
+            for reason in dict.fromkeys(each.reason for each in engine.limits(scene)):
+                scenes_of.setdefault((engine.label or engine.name, reason), []).append(name)
+    others = {name for names in scenes_of.values() for name in names}
+    if not others:
+        return [f"Every engine expresses all {len(every)} scenes."]
+    count = f"{len(every) - len(others)} of {len(every)}"
+    rows: Rows = [[engine, reason, "; ".join(names)] for (engine, reason), names in scenes_of.items()]
+    table = Table("", text_columns("engine", "reason", "scenes"), rows)
+    return [f"Every engine expresses {count} scenes. These are the others:", "", *markdown_table(table)]
 
 
 def library(folder: Path, engines: Iterable[Engine]) -> list[str]:
-    """Lines of the table of the library: verdict, and error and run time of each engine."""
+    """Lines of the table of the library: verdicts other than AGREE, and the error of each engine."""
     engines = list(engines)
     rows: Rows = []
+    verdicts: dict[str, list[str]] = {}
     for name in SCENES:
         found = json.loads((folder / name / "summary.json").read_text())
+        verdicts.setdefault(found["outcome"], []).append(name)
         judged = sum(check["judged"] for check in found["checks"])
-        rows.append([name, found["outcome"], str(judged), *(_measured(found, engine) for engine in engines)])
-    columns: list[Column] = [*text_columns("scene", "verdict"), *number_columns("checks")]
+        rows.append([name, str(judged), *(_error(found, engine) for engine in engines)])
+    columns: list[Column] = [*text_columns("scene"), *number_columns("checks")]
     columns += number_columns(*(engine.label or engine.name for engine in engines))
-    return list(markdown_table(Table("", columns, rows)))
+    agreeing = len(verdicts.pop(Outcome.AGREE, []))
+    lines = [f"{agreeing} of {len(SCENES)} scenes have the verdict AGREE.{' The others:' * bool(verdicts)}", ""]
+    if verdicts:
+        lines += [*(f"- {outcome}: `{'`, `'.join(names)}`" for outcome, names in verdicts.items()), ""]
+    return [*lines, *markdown_table(Table("", columns, rows))]
 
 
-def _measured(found: Mapping[str, Any], engine: Engine) -> str:
-    """Error and run time of an engine, or why it has none."""
+def _error(found: Mapping[str, Any], engine: Engine) -> str:
+    """Error of an engine, or why it has none."""
     if engine.name in found["left_out"]:
         return "cannot express it"
     run = found["engines"].get(engine.name)
     if run is None or run.get("wall_time") is None:
         return "stopped"
-    error = "" if run.get("error") is None else f"{run['error']:.0e}, ".replace("e-0", "e-")
-    return error + quantity_text(run["wall_time"], SECONDS_AND_MS)
+    return "" if run.get("error") is None else f"{run['error']:.0e}".replace("e-0", "e-")
 
 
 def references(folder: Path, engines: Iterable[Engine]) -> list[str]:

@@ -11,7 +11,7 @@ from crosscheck.support.colors import BLUE, GREEN, OTHER_COLORS, VERMILION
 
 def joints() -> Figure:
     """Plot the time of one right-hand side over the number of velocities."""
-    table = page_table("speed.md", "model", "velocities")
+    table = page_table("speed_equations.md", "model", "velocities")
     chains = [k for k, name in enumerate(table.column("model")) if name.startswith("chain")]
     velocities = np.array([float(text) for text in table.column("velocities")])
     figure = Figure(figsize=(8.0, 3.6), layout="constrained")
@@ -71,7 +71,7 @@ def batches() -> Figure:
 
 def sensitivities() -> Figure:
     """Plot the cost of a sensitivity over the number of parameters."""
-    table = page_table("speed.md", "scene", "operations of the run, of its derivatives")
+    table = page_table("speed_sensitivities.md", "scene", "operations of the run, of its derivatives")
     figure = Figure(figsize=(8.0, 3.2), layout="constrained")
     ax = figure.add_subplot()
     for row, style in zip(table.rows, ("o-", "s-", "^-", "v-", "D-", "o--", "s--"), strict=True):
