@@ -41,10 +41,9 @@ def test_files_of_maps_exist(page: str) -> None:
     assert [path for path in sorted(paths) if not (ROOT / path).exists()] == []
 
 
-@pytest.mark.parametrize(("page", "fewest_steps"), [(MAPS[1], 15), (MAPS[2], 8)])
-def test_functions_of_walks_exist(page: str, fewest_steps: int) -> None:
-    steps = list(STEP.finditer((ROOT / page).read_text()))
-    assert len(steps) > fewest_steps
+def test_functions_of_walks_exist() -> None:
+    steps = list(STEP.finditer((ROOT / "docs/explanation/architecture.md").read_text()))
+    assert len(steps) > 25
     missing = [
         f"{step['path']}: {name}"
         for step in steps

@@ -74,9 +74,12 @@ def library(folder: Path, engines: Iterable[Engine]) -> list[str]:
     columns: list[Column] = [*text_columns("scene"), *number_columns("checks")]
     columns += number_columns(*(engine.label or engine.name for engine in engines))
     agreeing = len(verdicts.pop(Outcome.AGREE, []))
-    lines = [f"{agreeing} of {len(SCENES)} scenes have the verdict AGREE.{' The others:' * bool(verdicts)}", ""]
+    others = " The others:" if verdicts else ""
+    lines = [f"{agreeing} of {len(SCENES)} scenes have the verdict AGREE.{others}", ""]
+    for outcome, names in verdicts.items():
+        lines.append(f"- {outcome}: {', '.join(f'`{name}`' for name in names)}")
     if verdicts:
-        lines += [*(f"- {outcome}: `{'`, `'.join(names)}`" for outcome, names in verdicts.items()), ""]
+        lines.append("")
     return [*lines, *markdown_table(Table("", columns, rows))]
 
 
