@@ -219,6 +219,7 @@ def test_a_file_at_rest_has_one_case(capsys, tmp_path):
     assert {row["most_time"] for row in ranges(tmp_path).values()} == {"0.0"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scene", "told"),
     [

@@ -126,6 +126,7 @@ def test_output_that_nobody_reads(tmp_path):
     assert (done.returncode, done.stderr) == (141, "")  # as of head
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("closed", ["1>&-", "0<&- 2>&-", "1>&- 2>&-"])
 def test_streams_that_are_closed(tmp_path, closed):
     """The run is the same without them; errors are on standard output where standard error is closed."""

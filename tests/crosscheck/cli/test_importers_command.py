@@ -88,6 +88,7 @@ def test_rotated_inertia_of_a_urdf_is_mended_in_mujoco(file):
     assert 0.4 < row.effect < 0.8 * (1.0 + 1e-9)
 
 
+@pytest.mark.slow
 def test_fused_inertia_of_a_rotated_link_is_mended_in_mujoco(file):
     # google-deepmind/mujoco#2982: MuJoCo 3.3.7 added a fused link's inertia without the rotation of the link
     links = LINK.format(name="link", center="0 0 0", rpy="0 0 0", ixx="1") + LINK.format(
@@ -107,6 +108,7 @@ TRUNK = """<mujoco><worldbody><body name="trunk" pos="0 0 0.4"><freejoint name="
     <inertial pos="0 0 -0.1" mass="1" diaginertia="1 1 1"/></body></body></worldbody></mujoco>"""
 
 
+@pytest.mark.slow
 def test_parent_of_a_hip_is_mended_in_pinocchio(file):
     # stack-of-tasks/pinocchio#2460: hips hung on the universe; Pinocchio 4.1 hangs them on the trunk
     path = file(TRUNK)
@@ -119,6 +121,7 @@ BASE = """<mujoco><worldbody><body name="base" quat="0 1 0 0"><body name="arm"><
   <inertial pos="1 0 0" mass="1" diaginertia="1 1 1"/></body></body></worldbody></mujoco>"""
 
 
+@pytest.mark.slow
 def test_pose_of_a_fixed_root_body_is_lost_in_pinocchio(file, capsys, tmp_path):
     # stack-of-tasks/pinocchio#2782: the base of the file is turned by 180 degrees about x, so that gravity
     # acts along its z axis; Pinocchio places the base at the identity
@@ -163,6 +166,7 @@ def test_a_refusal_is_a_row_with_the_message_of_the_importer(file, capsys, tmp_p
     assert not found.same
 
 
+@pytest.mark.slow
 def test_negative_moments_of_a_link_that_pinocchio_merges(file):
     # a part with -0.5 kg m^2, as public files have, and the link without it
     links = LINK.format(name="link", center="0 0 0", rpy="0 0 0", ixx="1")
@@ -175,6 +179,7 @@ def test_negative_moments_of_a_link_that_pinocchio_merges(file):
     assert results(crosscheck.importers(path)) == {"MuJoCo": "REFUSED", "Pinocchio": "SAME"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("end", "words"),
     [
@@ -241,6 +246,7 @@ def test_what_is_no_model_file(tmp_path, name):
         crosscheck.importers(str(tmp_path / name))
 
 
+@pytest.mark.slow
 def test_files_of_other_folders_are_read_by_all_importers_and_by_diff_with_their_root(file, tmp_path):
     """A scene of two folders, as in Metaworld: `../scene/basic_scene.xml`."""
     path = file(TRUNK)
@@ -259,6 +265,7 @@ def test_files_of_other_folders_are_read_by_all_importers_and_by_diff_with_their
         crosscheck.diff(path, scene, second_options={"loops": "a.yaml"})
 
 
+@pytest.mark.slow
 def test_an_include_that_is_missing_is_a_refusal(file, tmp_path):
     (tmp_path / "parts.xml").write_text('<mujocoinclude><include file="nothing.xml"/></mujocoinclude>')
     found = crosscheck.importers(file(TRUNK.replace("<worldbody>", '<include file="parts.xml"/><worldbody>')))

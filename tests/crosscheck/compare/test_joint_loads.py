@@ -41,6 +41,7 @@ def test_a_displaced_joint_parts_motions_by_what_it_does_not_carry(chain):
         assert 1e-5 < least < parted(chain, element) < most, element.name
 
 
+@pytest.mark.slow
 def test_a_body_parts_motions_by_its_share(chain):
     scene, _, loads = chain
     bodies = [element for element in elements(scene) if element.body is not None]

@@ -190,6 +190,7 @@ def test_everything_that_a_scene_file_can_hold(tmp_path, good):
     assert initial_state(scene).position[2].tolist() == [0.3, 0.05, 0.25]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("path", "value"),
     [(("control", 0, "stiffness"), 1e99), (("gravity",), [0.0, 0.0, -1e99])],

@@ -36,6 +36,7 @@ def driven():
     return scene, newton_euler.simulate(scene)
 
 
+@pytest.mark.slow
 def test_motors_need_the_force_on_the_slider_over_the_efficiency_of_the_screw(driven):
     """At half the first stroke, raising at constant speed but for the sine's small acceleration."""
     scene, run = driven
@@ -49,6 +50,7 @@ def test_motors_need_the_force_on_the_slider_over_the_efficiency_of_the_screw(dr
     assert run.actuator_force[row, 1] == pytest.approx(torque, rel=0.01)
 
 
+@pytest.mark.slow
 def test_sizing_of_drives_gives_the_torque_of_the_simulated_motors(driven):
     """Raised and lowered, also against the self-locking screws; at both ends of a stroke the nuts vibrate."""
     scene, run = driven

@@ -245,6 +245,7 @@ def test_a_limit_needs_a_loop_constraint_of_its_kind(angles):
     assert list(without_loops(SimpleNamespace(loop_error=loops))) == kinds
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "equality", ["", '<equality><joint joint1="hinge" active="false"/></equality>', SWITCHED_OFF]
 )

@@ -137,6 +137,7 @@ def test_pictures_are_of_the_view_of_the_first_log(saved: tuple[Verdict, Path]) 
     assert all(view < whole for view, whole in zip(size, of_window, strict=True))
 
 
+@pytest.mark.slow
 def test_recordings_without_logs_have_none(tmp_path: Path) -> None:
     _, path = checked(tmp_path)
     assert not [entity for entity in read_recording(path).entities if entity.startswith("/logs")]

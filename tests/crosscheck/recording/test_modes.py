@@ -66,6 +66,7 @@ def test_modes_about_a_state_that_is_no_equilibrium(capsys, tmp_path):
     assert "modes are those of the scene as it stands" in err
 
 
+@pytest.mark.slow
 def test_modes_tell_the_pose_and_whether_it_is_stable(capsys, tmp_path):
     folder = ("--output", tmp_path)
     _, out, _ = run(capsys, "modes", "tracker_gravity", "-v", *folder)

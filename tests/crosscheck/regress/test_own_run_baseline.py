@@ -145,6 +145,7 @@ def test_an_error_fails_only_where_it_grows(now, moved, better):
     assert (found.moved, found.more_accurate, found.cheaper) == (moved, better, False)
 
 
+@pytest.mark.slow
 def test_a_chaotic_motion_is_compared_until_the_time_in_the_baseline(capsys, guarded):
     path = guarded / "swing.baseline.json"
     found = read_baseline(path)

@@ -140,6 +140,7 @@ def test_a_start_that_is_not_the_files_is_reported_first(reach, moved, tmp_path)
         assert verdict.crosscheck.summary()["moved_start"]["body"] == change.body
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rates", "changed"), [("0 0 0", False), ("1 2 3", True)])
 def test_velocities_of_a_file_that_do_not_fit_its_loops_are_reported(rates, changed, tmp_path):
     key = f'<keyframe><key name="go" qvel="{rates}"/></keyframe></mujoco>'

@@ -103,6 +103,7 @@ def replace_joints(mechanism, joints):
     return type(mechanism)(mechanism.bodies, joints, mechanism.couplings)
 
 
+@pytest.mark.slow
 def test_a_panel_off_its_set_points_is_not_called_followed():
     """With the gains of the paper, 50 N/m, the loads of a wind of 8 m/s move the sliders by centimeters."""
     soft = replace(load("tracker_gravity"), name="soft")

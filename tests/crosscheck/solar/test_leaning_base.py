@@ -88,6 +88,7 @@ def test_a_row_off_its_set_points_is_told_while_the_sun_is_behind_the_base():
     assert day.off_set_points[behind & is_off].all()
 
 
+@pytest.mark.slow
 def test_only_a_level_panel_has_no_load_in_a_horizontal_wind():
     """The panel lies flat on its base all day; on a level base it never does in a weak wind."""
     leaning, level, weak = (

@@ -38,6 +38,7 @@ def test_blocked_directions_are_replaced_by_free_ones(day):
     assert np.array_equal(faced.directions[~faced.replaced], day.wanted[~faced.replaced])
 
 
+@pytest.mark.slow
 def test_no_nearer_direction_is_free(day):
     """Directions in rings around the wanted ones, up to 0.1 degrees before the one that was chosen. Free
     ones among them are beyond blocked ones: the panel would have to pass these on its way from flat."""

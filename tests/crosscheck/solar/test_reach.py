@@ -118,6 +118,7 @@ def test_the_library_s_tracker_reaches_a_part(few_hours, reach):
     assert len(reach_picture(reach).axes[0].lines) == len(counts) + 1
 
 
+@pytest.mark.slow
 def test_the_year_is_beside_the_day(tmp_path, reach):
     scene = sun_tracker()
     day = tracker_day(scene, PANEL_NORMAL, PLACE, f"{YEAR}-06-21", period=7200.0)

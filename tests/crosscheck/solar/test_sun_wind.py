@@ -107,6 +107,7 @@ def test_winds_from_the_north_blow_to_the_south():
         assert load.direction == pytest.approx(towards, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_vertical_gusts_lift_a_panel_that_lies_flat():
     """Force and arm of an upward wind by the formulas of `WindLoad`; the sliders' part by virtual work."""
     wind, up, row = np.full(13, 20.0), 0.25, 6

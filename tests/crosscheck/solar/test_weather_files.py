@@ -89,6 +89,7 @@ def test_epw_of_pvgis_is_in_utc_with_the_offset_of_its_comment(tmp_path):
     assert np.max(np.abs(apart)) < 1e-3
 
 
+@pytest.mark.slow
 def test_one_year_of_several_is_chosen(tmp_path):
     path = tmp_path / "years.csv"
     path.write_text(synthetic.pvgis_hourly("2014-01-01", "2015-01-01")[0])
@@ -108,6 +109,7 @@ def test_typical_years_are_no_calendar_years(tmp_path, samples):
         read_weather(str(path), year=2015)
 
 
+@pytest.mark.slow
 def test_a_wrong_time_zone_is_found(tmp_path, samples):
     """The header has 5 hours too much; the remedy reads the same sums."""
     path, (text, expected) = tmp_path / "tmy3.csv", samples["tmy3.csv"]

@@ -200,6 +200,7 @@ def test_strokes_stop_both_axes(weather, gimbal):
             stroke_of(text)
 
 
+@pytest.mark.slow
 def test_a_bar_turns_until_it_comes_close_to_the_ground(weather):
     """A bar of 2 x 0.5 m turns about y, 0.3 m above a beam; it keeps 0.01 m: sin(angle) is 0.29 / 0.5."""
     beam = Cylinder([-1.0, 0.0, -0.31], [1.0, 0.0, -0.31], radius=0.01)
@@ -428,6 +429,7 @@ def test_the_place_of_a_weather_file_is_checked(tmp_path, capsys):
     assert not (tmp_path / "out" / "year.json").exists()
 
 
+@pytest.mark.slow
 def test_the_command_writes_what_it_prints(tmp_path, capsys):
     """Any mechanism with a face; sums of the files by an own addition."""
     model, file, out = tmp_path / "gimbal.xml", tmp_path / "town.csv", tmp_path / "out"

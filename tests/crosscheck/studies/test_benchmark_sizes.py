@@ -59,6 +59,7 @@ def test_right_hand_sides_are_compared_with_the_fastest_of_the_others():
     assert set(table.rows[1][1:]) == {"-"}
 
 
+@pytest.mark.slow
 def test_right_hand_sides_are_timed_here_and_loaded_in_processes_of_their_own(monkeypatch, short):
     wanted = [OTHER, "pinocchio constraintDynamics"]
     monkeypatch.setattr(rhs, "BATCH_DURATION", 1e-4)
@@ -198,6 +199,7 @@ def test_a_batch_is_measured_for_every_engine(monkeypatch, tracker):
         assert rate.per_second == rate.runs / np.median(rate.times)
 
 
+@pytest.mark.slow
 def test_an_engine_that_does_not_reach_the_error_takes_no_part(monkeypatch, tracker):
     result = quick_batch(monkeypatch, tracker, 1e-7)
     assert {rate.engine for rate in result.rates} == {Lanes.name, Scalar.name}

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
+
 from crosscheck.loading.load import load_scene, with_excitation
 from crosscheck.own_run.judge import Judgement, judge
 from crosscheck.studies.own_run_table import own_run_result, own_run_table
@@ -38,6 +40,7 @@ def judged(folder: Path, text: str) -> tuple[Judgement, Path, Path]:
     return judgement, path, summary
 
 
+@pytest.mark.slow
 def test_mujoco_alone_repeats_the_errors(tmp_path: Path) -> None:
     judgement, path, summary = judged(tmp_path, ARM_ON_A_LOOP)
     assert judgement.events, "dry friction acts and is left out"
@@ -51,6 +54,7 @@ def test_mujoco_alone_repeats_the_errors(tmp_path: Path) -> None:
     assert len(row.repeated.split("; ")) == 1 + len(judgement.remedies)
 
 
+@pytest.mark.slow
 def test_other_numbers_are_not_repeated(tmp_path: Path) -> None:
     judgement, path, summary = judged(tmp_path, ARM_ON_A_LOOP)
     content = judgement.summary()
@@ -66,6 +70,7 @@ def test_other_numbers_are_not_repeated(tmp_path: Path) -> None:
     assert row.repeated == ""
 
 
+@pytest.mark.slow
 def test_a_run_that_diverges(tmp_path: Path) -> None:
     judgement, path, summary = judged(tmp_path, STIFF_SERVO)
     assert judgement.stopped
@@ -82,6 +87,7 @@ def test_a_run_that_was_not_judged(tmp_path: Path) -> None:
     assert own_run_result(tmp_path / "model.xml", summary, SCRIPT) is None
 
 
+@pytest.mark.slow
 def test_all_models_are_listed(tmp_path: Path) -> None:
     _, path, summary = judged(tmp_path, ARM_ON_A_LOOP)
     row = own_run_result(path, summary, SCRIPT)

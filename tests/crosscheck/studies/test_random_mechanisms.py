@@ -77,6 +77,7 @@ def test_what_they_cover():
     assert sum(any(not k.forward for k in SpanningTree(s.mechanism).joints) for s in scenes) > 24
 
 
+@pytest.mark.slow
 def test_some_are_redundant():
     scenes = [random_scene(0, number) for number in range(COUNT)]
     assert sum(undetermined_joints(scene, initial_state(scene))[0] > 0 for scene in scenes) > 1

@@ -47,6 +47,7 @@ def wait_until(condition, seconds: float) -> bool:
     return True
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc to count processes in")
 @pytest.mark.parametrize(
     ("command", "number"),

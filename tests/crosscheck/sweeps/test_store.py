@@ -76,6 +76,7 @@ def test_an_interrupted_command_says_what_is_stored(tmp_path, capsys, monkeypatc
     assert f"holds an unfinished sweep, {stored}" in " ".join(err.split())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sampling", ["random", "sobol", "saltelli"])
 def test_a_sweep_goes_on_with_more_runs(tmp_path, monkeypatch, sampling):
     scene, vary, _, keep = ARGUMENTS

@@ -41,6 +41,7 @@ def test_every_scene_of_the_library_has_one(name):
     assert fingerprint(load(name), neutral=NOT_COMPILED_FIELDS) is not None
 
 
+@pytest.mark.slow
 def test_it_is_the_same_in_every_process(tracker):
     code = "from crosscheck.library import load; from newton_euler.codegen.fingerprint import fingerprint; "
     code += "print(fingerprint(load('tracker'), 'relative', 0.5))"

@@ -52,6 +52,7 @@ def test_pieces_make_up_the_program():
     assert all(len(piece) >= MIN_PIECE_OPERATIONS for piece in pieces[:-1])
 
 
+@pytest.mark.slow
 def test_a_large_scene_is_the_same_rolled_or_not(monkeypatch):
     from crosscheck.library import load
     from newton_euler import compile_scene

@@ -25,6 +25,7 @@ def raising(error):
     return function
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("integrator", ["DOP853", "Radau"])
 def test_an_exchange_of_rows_that_fails_ends_the_run(monkeypatch, capfd, integrator):
     monkeypatch.setattr(records, "exchanged", raising(np.linalg.LinAlgError("SVD did not converge")))

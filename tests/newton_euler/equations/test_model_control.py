@@ -64,6 +64,7 @@ def errors(run) -> np.ndarray:
     return np.hstack([run.joint(name).coordinates for name in REFERENCES]) - wanted
 
 
+@pytest.mark.slow
 def test_computed_torque_follows_its_reference():
     """Newton_euler and Pinocchio: to round-off of 0.1 m over some 100 steps, far below rtol 1e-10."""
     scene = tracker()
@@ -75,6 +76,7 @@ def test_computed_torque_follows_its_reference():
         assert np.abs(balance.residual).max() / balance.scale < 1e-8
 
 
+@pytest.mark.slow
 def test_mujocos_loops_are_soft():
     """At 1 ms its closures are off by some 1e-8 m, which the model of closed loops does not know."""
     scene = tracker()

@@ -210,6 +210,7 @@ def crank():
     return replace(start(load("slider_crank"), pivot=(0.4, 2.0)), duration=0.3, output_period=0.1)
 
 
+@pytest.mark.slow
 def test_runs_of_varied_geometry_are_those_of_scenes_made_with_it(crank, formulation):
     """The scene that is made by hand starts from its only freedom, which both know."""
     center, moved = crank.mechanism.body("rod").center_of_mass, np.array([0.01, 0.02, -0.03])

@@ -233,6 +233,7 @@ def test_a_is_the_finite_difference_of_accelerations_in_motion(name, names):
     assert model.f[d:] / model.units == pytest.approx(own, abs=1e-9 * scale)
 
 
+@pytest.mark.slow
 def test_inputs_and_outputs_are_finite_differences():
     scene = load("tracker_gravity")
     (state,) = random_states(scene, 1, seed=4)

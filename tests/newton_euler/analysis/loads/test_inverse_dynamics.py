@@ -202,6 +202,7 @@ def test_actuators_on_other_coordinates_than_the_wanted_ones(tracker):
         assert again == pytest.approx(list(wanted.values()), rel=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("coordinates", "actuators"),
     [
@@ -355,6 +356,7 @@ def test_prescribed_motions_act_with_their_functions_at_each_time(tracker):
     assert forces[1] == pytest.approx(forces[0], rel=1e-7)  # accelerations of a spline through round-off
 
 
+@pytest.mark.slow
 def test_static_loads_of_redundant_constraints_and_of_springs_alone(tracker):
     """Bricard's loop has multipliers to choose; the platform of 1.2 t rests on its springs."""
     bricard = load("bricard")

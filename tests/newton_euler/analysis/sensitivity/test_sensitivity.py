@@ -208,6 +208,7 @@ def test_derivatives_are_those_of_finite_differences(name, formulation):
     assert wrong == []
 
 
+@pytest.mark.slow
 def test_values_beside_those_of_the_scene():
     """The run is that of a batch, and derivatives are those of one: starts go on from the scene's own."""
     scene = short(load("slider_crank"), 1.0)
@@ -260,6 +261,7 @@ def test_long_runs_are_followed_twice(monkeypatch):
     assert np.array_equal(found.position, sensitivities(scene, ["crank.mass"]).position)
 
 
+@pytest.mark.slow
 def test_rolled_code_and_single_directions_give_the_same(monkeypatch):
     """Of scenes that are large, and by one parameter at a time."""
     scene, names = short(load("slider_crank")), ["crank.mass", "ball.point.z"]
