@@ -26,11 +26,6 @@ from newton_euler.scalars import Array, Scalar
 class Sum(Function):
     """The sum of several functions of time.
 
-    The methods are those of `Function`. It groups the numbers of a function in parts: "" for those on which
-    the value depends linearly, "angular_frequency" and "phase". Lists of numbers, such as those of `piece`
-    and `part`, have the numbers of the first term first. The argument `change` of `with_part` copies an
-    object with other fields: `dataclasses.replace`, or a function that does not check the fields.
-
     Attributes:
         terms: one or more functions of time; a sum may be a term of a sum.
 
@@ -43,6 +38,10 @@ class Sum(Function):
     """
 
     terms: tuple[TimeFunction, ...]
+
+    # Lists of numbers, such as those of `piece` and `part`, have the numbers of the first term first. The
+    # argument `change` of `with_part` copies an object with other fields: `dataclasses.replace`, or a
+    # function that does not check the fields.
 
     def __post_init__(self) -> None:
         terms = items_of(self.terms) or ()
