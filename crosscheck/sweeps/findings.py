@@ -57,7 +57,10 @@ class Findings:
         text = f"{completed}; none was cross-checked"
         if self.checked:
             extremes = {scalar.extreme(largest) for scalar, _ in self.effects for largest in (True, False)}
-            text = f"{completed}; {result_line(self.checked, extremes)}"
+            of_checks = result_line(self.checked, extremes)
+            # a failure of a crosscheck comes first
+            failed_checks = any(each.differs or not each.complete for each in self.checked)
+            text = f"{of_checks}; {completed}" if failed_checks else f"{completed}; {of_checks}"
         text = "; ".join(filter(None, [self._not_simulated, text]))
         return f"{self.outcome}: {text}" if self.outcome else text
 

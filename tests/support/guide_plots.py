@@ -191,7 +191,7 @@ def mujoco_settings() -> Figure:
 
 def four_bar() -> Figure:
     """Plot poses of the four-bar of the tutorial, and the effect of the mistake in its file."""
-    text = page_file("tutorial/four_bar.md", "four_bar.xml")
+    text = page_file("tutorial/four_bar.md", "my_four_bar.xml")
     figure, (left, right) = side_by_side(2, 3.2)
     runs = []
     for xml in (text, text.replace('size="0.01"', 'size="0.02"')):
