@@ -12,14 +12,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from crosscheck.compare.tuning import tune_model, with_engine
+from crosscheck.compare.tuning import target_of, tune_model, with_engine
 from crosscheck.loading.load import OptionValue, load_scene, option_texts, with_excitation
 from crosscheck.own_run.tune import SettingsSearch, Tried
 from crosscheck.report.shown import Shown
 from crosscheck.report.table import Report
 from crosscheck.report.tuning import report
 from newton_euler.arguments import checked
-from newton_euler.errors import OptionError
 
 if TYPE_CHECKING:
     from crosscheck.loading.load import Model
@@ -70,20 +69,21 @@ class Tuning(Shown):
 @checked
 def tune(
     model: Model,
-    error: float = 1e-3,
+    error: float | str = 1e-3,
     *,
     progress: Callable[[str], None] = lambda stage: None,
     **options: OptionValue,
 ) -> Tuning:
     """Find the cheapest settings with which the engine of a model reaches an error.
 
-    The error is the largest error of a position or an orientation, as a part of the motion; `check` judges
+    A number is the largest error of a position or an orientation, as a part of the motion; `check` judges
     runs by the same error. The motion is that of `check`: models are excited unless `excitation` is "off".
 
     Args:
         model: path of an MJCF or URDF, an `MjSpec` or `MjModel` of MuJoCo, or a `Model` of Pinocchio. A
             `Model` may be paired with its constraints, see `urdf.read`.
-        error: error to reach, a fraction of the motion.
+        error: error to reach, a fraction of the motion, or a text such as "position=1mm" as in
+            `crosscheck run --max-error`.
         progress: function that is called with a message before each run.
         options: options of the model, as `crosscheck list` shows them. For a URDF and a `Model`, `own_run`
             has the settings of your loop.
@@ -102,8 +102,7 @@ def tune(
         <option timestep="0.008" integrator="RK4"/>
         <default><equality solref="0.016 1" solimp="0.9999 0.9999 0.001"/></default>
     """
-    if not 0.0 < error < 1.0:
-        raise OptionError("error", error, "a number between 0 and 1, a fraction of the motion")
+    target = target_of(error, "error")
     scene, import_report = load_scene(model, with_excitation(model, option_texts(options)))
     source = os.fspath(model) if isinstance(model, str | os.PathLike) else scene.name
-    return Tuning(scene.name, tune_model(scene, with_engine(source, import_report), error, progress))
+    return Tuning(scene.name, tune_model(scene, with_engine(source, import_report), target, progress))

@@ -150,8 +150,8 @@ class Verdict(Shown):
             loop_angle: largest violation of a loop constraint of angles, rad.
             energy: largest error of the total energy, a fraction of the energy that the motion exchanges.
             allow_reduced: True to accept a model of which some elements (contacts, joint limits, dry
-                friction) act but are not simulated by the reference, newton_euler. The run is judged without
-                these.
+                friction) act but are not simulated by the reference, newton_euler. The limits hold for the
+                run until the first of them acts, and for the run without these elements.
 
         Raises:
             AssertionError: if an error is too large, if the engines disagree, or if the run is not judged.

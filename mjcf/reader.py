@@ -248,7 +248,16 @@ def _excite(
         range_of_frequencies = least if least == most else f"{least} to {most}"
         amplitude = max(abs(sine.amplitude) for sine in sines)
         driven = _count(excitation.sines, "actuator")
-        phrases.append(f"{driven} driven at {range_of_frequencies} Hz, amplitudes up to {amplitude:.2g}")
+        # largest part of the range of a control that its sine uses
+        parts = [
+            abs(sine.amplitude) / float(np.max(np.abs(model.actuator_ctrlrange[k])))
+            for k, sine in excitation.sines.items()
+            if model.actuator_ctrllimited[k]
+        ]
+        of_range = f" ({100.0 * max(parts):.2g} % of ctrlrange)" if parts else ""
+        phrases.append(
+            f"{driven} driven at {range_of_frequencies} Hz, amplitudes up to {amplitude:.2g}{of_range}"
+        )
     if excitation.moved:
         moves = [f"{names[k]} from {old:g} to {new:g}" for k, (old, new) in excitation.moved.items()]
         phrases.append(

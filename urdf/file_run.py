@@ -110,7 +110,10 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
     Attributes:
         scene: imported scene.
         settings: settings of the user's loop.
+        has_all_elements: False, as the loop has no limits and no dry friction.
     """
+
+    has_all_elements = False
 
     max_evaluations = MAX_LOOP_EVALUATIONS
     engine = ENGINE

@@ -251,7 +251,7 @@ def _run(asked: _Options) -> int:
         look = f"{without_meshes}\n{look}"
     changed = non_default_options(result.options)
     settings = [word for key, value in changed.items() for word in ("--set", f"{key}={value}")]
-    next_command = "tune" if result.own_run and result.own_run.remedies else "bench"
+    next_command = "tune" if result.own_run and result.own_run.analyzed.remedies else "bench"
     more = ["-v", next_step("report", folder), next_step(next_command, result.source, *settings)]
     show(found, *explanation_steps(*names_to_explain(result)), look, f"more  {'; '.join(more)}")
     return result.outcome.exit_status(asked.allow_reduced)

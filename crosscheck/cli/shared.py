@@ -52,23 +52,13 @@ def cli() -> None:
 
 def fraction(text: str | float) -> float:
     """Read the value of an option: a number from 0 on and below 1, such as 1e-3 or 0.1%."""
-    return _number_below_one(text, "from 0 on", lambda number: number >= 0.0)
-
-
-def positive_fraction(text: str | float) -> float:
-    """Read the value of an option: a number above 0 and below 1, such as 1e-3 or 0.1%."""
-    return _number_below_one(text, "above 0", lambda number: number > 0.0)
-
-
-def _number_below_one(value: str | float, least: str, is_enough: Callable[[float], bool]) -> float:
-    """Read a number or a percentage below 1; `least` says in words what `is_enough` demands."""
-    text = str(value)
+    value = str(text)
     try:
-        number = float(text.removesuffix("%")) * (0.01 if text.endswith("%") else 1.0)
+        number = float(value.removesuffix("%")) * (0.01 if value.endswith("%") else 1.0)
     except ValueError:
         number = math.nan
-    if not (is_enough(number) and number < 1.0):
-        raise click.BadParameter(f"{text!r}; needed: a number {least} and below 1, such as 1e-3 or 0.1%")
+    if not 0.0 <= number < 1.0:
+        raise click.BadParameter(f"{value!r}; needed: a number from 0 on and below 1, such as 1e-3 or 0.1%")
     return number
 
 

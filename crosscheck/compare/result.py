@@ -175,7 +175,11 @@ class EngineComparison(ABC):
 
     def _undetermined(self, name: str) -> Mapping[ErrorKind, str]:
         """Return the errors that one of the `limited_runs` does not determine, with the reason."""
-        return self.logs[name].undetermined if name in self.logs else without_loops(self.limited_runs[name])
+        return (
+            self.logs[name].undetermined
+            if name in self.logs
+            else without_loops(self.limited_runs[name].loop_error)
+        )
 
     @property
     def exceeded(self) -> dict[str, list[AllowedError]]:
@@ -197,7 +201,7 @@ class EngineComparison(ABC):
         for name, run in self.limited_runs.items():
             undetermined = self._undetermined(name)
             reasons = [undetermined[each.kind] for each in allowed if each.kind in undetermined]
-            if allowed and not run.is_judged:
+            if allowed and not (run.judged or run.stopped):
                 reasons.append(f"not judged: {run.why_not_judged}")
             stops = (*stops, *(Stop(name, reason) for reason in dict.fromkeys(reasons)))
         if self.logs:

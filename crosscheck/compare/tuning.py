@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from crosscheck.compare.activity import acting_events, watched_in_new_run
+from crosscheck.own_run.allowed import AllowedError, ErrorKind
 from crosscheck.own_run.tune import SettingsSearch, search_settings
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.time_limits import limited
@@ -28,15 +29,33 @@ def with_engine(source: str, import_report: ImportReport | None) -> ImportReport
     return import_report
 
 
+def target_of(error: float | str, name: str) -> AllowedError:
+    """Read an error to reach: a fraction of the motion below 1, or a text such as "position=1mm".
+
+    Args:
+        error: the number or text.
+        name: name of the option or argument, for messages.
+
+    Raises:
+        CrosscheckError: for an unknown error, unit or number.
+    """
+    target = AllowedError.parse(str(error), name)
+    if target.kind is ErrorKind.RELATIVE and target.largest >= 1.0:
+        raise CrosscheckError(
+            f"{name} {error}: needed: a fraction of the motion below 1, such as 1e-3 or 0.1%"
+        )
+    return target
+
+
 def tune_model(
-    scene: Scene, import_report: ImportReport, error: float, progress: Callable[[str], None]
+    scene: Scene, import_report: ImportReport, target: AllowedError, progress: Callable[[str], None]
 ) -> SettingsSearch:
-    """Search the cheapest settings that reach an error; all runs are without what acts and is not simulated.
+    """Search the cheapest settings that reach an error.
 
     Args:
         scene: scene that was imported from the model.
         import_report: import report of the model, which has an engine of its own.
-        error: error to reach, a fraction of the motion.
+        target: error to reach.
         progress: shows a message to the user before each run.
 
     Raises:
@@ -49,4 +68,4 @@ def tune_model(
     with limited("tuning", advice, progress):
         # elements that the reference does not simulate although they act, such as dry friction
         acting = acting_events(watched_in_new_run(scene, import_report))
-        return search_settings(import_report.simulation, error, acting, progress)
+        return search_settings(import_report.simulation, target, acting, progress)

@@ -14,7 +14,7 @@ from crosscheck.compare.outcome import Outcome
 from crosscheck.compare.participation import missing_levels
 from crosscheck.compare.result import EngineComparison
 from crosscheck.engines.engine_runs import stops_text
-from crosscheck.own_run.allowed import OWN_RUN, exceeded_text
+from crosscheck.own_run.allowed import exceeded_text
 
 
 def verdict_of(result: EngineComparison) -> str:
@@ -131,7 +131,7 @@ def _qualifications(result: EngineComparison) -> str:
     # limits, contacts and actuators can act, cameras cannot. Counted are elements that can act and are not
     # simulated, such as "2 elements are inactive, 1 left out"
     if result.mapping and (counts := result.mapping.counts()):
-        text += f"; of what can act in the file {counts}"
+        text += f"; of the file, {counts}"
     return text
 
 
@@ -157,7 +157,6 @@ def _reduced_model_text(result: EngineComparison) -> str:
         return reduced_model_text(result.acting)
     if not result.is_reduced:
         return ""
-    # in a run whose errors are limited: that with the file's settings, or a log
+    # in a log whose errors are limited
     name, first = next((name, run.events[0]) for name, run in result.limited_runs.items() if run.events)
-    who = "your settings are" if name == OWN_RUN else f"the log {name} is"
-    return f"{who} judged without {first.element}, active from {first.time:.4g} s on"
+    return f"the log {name} is judged without {first.element}, active from {first.time:.4g} s on"

@@ -207,8 +207,11 @@ def fates_line(report: ImportReport) -> str:
     Elements that are not imported exactly are also counted by kind, for example "2 left out (2 tendons)".
     Elements that are not exact and move nothing are not counted, except those that the file switches off.
     """
-    exact = len({entry.element for entry in report.of("exactly")})
+    rigid = {entry.element for entry in report.of("exactly") if entry.is_soft_in_file}
+    exact = len({entry.element for entry in report.of("exactly")} - rigid)
     found = [f"{exact} element{'' if exact == 1 else 's'} read exactly"]
+    if rigid:
+        found.append(f"{len(rigid)} rigid here and soft in the file ({_count_by_kind(rigid)})")
     for fate in FATES[1:]:
         names = {entry.element for entry in report.of(fate) if not entry.moves_nothing}
         if names:

@@ -166,7 +166,7 @@ class LogJudgement(Judgement):
             needed = "needed: coordinates of all joints, or poses of all bodies, of loops"
             reason = f"its columns do not determine the violation of loops; {needed}"
             return found | dict.fromkeys((ErrorKind.OPENING, ErrorKind.LOOP_ANGLE), reason)
-        return found | without_loops(self)
+        return found | without_loops(self.loop_error)
 
     def summary(self) -> dict[str, Any]:
         """All numbers, for JSON."""
@@ -270,7 +270,7 @@ def _judged(reading: LogReading, name: str, options: LogOptions, watch: Watch) -
     # the reference stops before the log and before all reasons to end the comparison
     is_unjudged = bool(compared.reference_stop) and until is None and not all(horizons)
     other_inputs = None
-    if error.band in (Band.USABLE, Band.WRONG) and not mistakes:
+    if error.band in (Band.OFF, Band.WRONG) and not mistakes:
         other_inputs = reading.other_inputs(options, compared)
     loops = loop_errors(reading.scene.mechanism, compared.poses)
     return LogJudgement(

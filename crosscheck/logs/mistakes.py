@@ -24,7 +24,7 @@ from crosscheck.logs.other_readings import (
 )
 from crosscheck.logs.poses import body_poses, coordinates_in_poses, joint_errors, logged_quantities
 from crosscheck.logs.reading import ComparedLog, LogReading
-from crosscheck.own_run.errors import USABLE_BELOW, RunError, run_error
+from crosscheck.own_run.errors import OFF_BELOW, RunError, run_error
 from crosscheck.own_run.interpolation import at_outputs, without_energies
 from newton_euler.errors import NewtonEulerError, quoted
 from newton_euler.model.joint import Key
@@ -122,13 +122,13 @@ def find_mistakes(
     found: list[Mistake] = []
     fits_no_state = compared is None
     end = time.process_time() + MAX_SEARCH_S
-    while len(found) < MAX_MISTAKES and (compared is None or compared.error.relative > USABLE_BELOW):
+    while len(found) < MAX_MISTAKES and (compared is None or compared.error.relative > OFF_BELOW):
         before = None if compared is None else compared.error
         # the most frequent readings, and unless one of them fits, those of single elements
         best: tuple[ComparedLog, OtherReading] | None = None
         for others in (other_readings, readings_of_elements):
             best = _best_reading(reading, options, others(reading, options, data), end, best)
-            if best is not None and best[0].error.relative < USABLE_BELOW:
+            if best is not None and best[0].error.relative < OFF_BELOW:
                 break
         if best is None or (
             before is not None and best[0].error.relative * MISTAKE_FACTOR >= before.relative
@@ -139,9 +139,9 @@ def find_mistakes(
         found.append(Mistake(other.columns, other.what, other.option, before, compared.error))
         options = other.options
         data = reading.data(options)
-    if fits_no_state and (compared is None or compared.error.relative >= USABLE_BELOW):
+    if fits_no_state and (compared is None or compared.error.relative >= OFF_BELOW):
         return ()  # there is no first error that another reading reduces
-    if compared is not None and compared.error.relative > USABLE_BELOW:
+    if compared is not None and compared.error.relative > OFF_BELOW:
         found.extend(_delay(compared))
     return tuple(found)
 
@@ -170,7 +170,7 @@ def _best_reading(
         except NewtonEulerError:
             continue
         if other.options.time != options.time and (
-            tried.error.relative >= USABLE_BELOW or not _explains_motion(tried)
+            tried.error.relative >= OFF_BELOW or not _explains_motion(tried)
         ):
             continue  # in a much shorter time little moves, whatever the log has
         if best is None or tried.error.relative < best[0].error.relative:
@@ -197,7 +197,7 @@ def find_mismatches(reading: LogReading, options: LogOptions, compared: Compared
         float(np.max(violations.openings, initial=0.0)) / scale.length,
         float(np.max(violations.angles, initial=0.0)) / scale.angle,
     )
-    allowed = max(USABLE_BELOW, MISTAKE_FACTOR * violation)
+    allowed = max(OFF_BELOW, MISTAKE_FACTOR * violation)
     in_poses, found = coordinates_in_poses(mechanism, poses), list[Mismatch]()
     columns = dict(coordinate_columns(reading, compared.data))
 

@@ -13,12 +13,17 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import assert_never
 
+from crosscheck.own_run.errors import LoopError, RunError
 from crosscheck.own_run.judge import Judgement
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.units import ANGLES, LENGTHS, quantity_text, significant
+from newton_euler.reading.file_run import Event
 
 OWN_RUN = "your settings"
 """Name of the run with the settings of the model file, beside the names of logs."""
+
+REDUCED_RUN = "your settings, without what acts"
+"""Name of the same run of the file without elements that act and that the reference does not simulate."""
 
 NUMBER_AND_UNIT = re.compile(r"\s*([-+0-9.eE]+)\s*([a-z%]*)\s*")
 """Pattern of a value such as "1e-3", "0.1%" or "1 mm"."""
@@ -30,36 +35,43 @@ class ErrorKind(StrEnum):
     RELATIVE = "relative"
     """Larger one of the errors of positions and of orientations, each divided by the extent of the motion."""
     POSITION = "position"
-    """Largest error of a center of mass, m, in the judged comparison and in the other one if there is one."""
+    """Largest error of a center of mass, m."""
     ROTATION = "rotation"
-    """Largest error of an orientation, rad, likewise."""
+    """Largest error of an orientation, rad."""
     OPENING = "opening"
-    """Largest distance between the ends of a loop constraint, m, likewise."""
+    """Largest distance between the ends of a loop constraint, m."""
     LOOP_ANGLE = "loop_angle"
-    """Largest violation of a loop constraint of angles, rad, likewise."""
+    """Largest violation of a loop constraint of angles, rad."""
     ENERGY = "energy"
     """Largest error of the total energy, divided by the reference's largest kinetic energy plus the range of
     its potential energy."""
 
-    def of(self, judgement: Judgement) -> float:
-        """Return this error of a judged run; infinite for a run that diverged, if only as it stands."""
-        if _divergence(judgement):
-            return math.inf
+    def measured_in(self, error: RunError, loop_error: LoopError) -> float:
+        """Return this one of the errors of a run."""
         match self:
             case ErrorKind.RELATIVE:
-                return judgement.error.relative
+                return error.relative
             case ErrorKind.POSITION:
-                return max(each.error.largest_position for each in judgement.measured)
+                return error.largest_position
             case ErrorKind.ROTATION:
-                return max(each.error.largest_rotation for each in judgement.measured)
+                return error.largest_rotation
             case ErrorKind.OPENING:
-                return max(each.loop_error.opening for each in judgement.measured)
+                return loop_error.opening
             case ErrorKind.LOOP_ANGLE:
-                return max(each.loop_error.angle for each in judgement.measured)
+                return loop_error.angle
             case ErrorKind.ENERGY:
-                return judgement.error.energy
+                return error.energy
             case _:
                 assert_never(self)
+
+    def of(self, judgement: Judgement) -> float:
+        """Return this error of a judged run, or of the run without what acts if that one is larger.
+
+        The error of a run that diverged is infinite.
+        """
+        if judgement.stopped:
+            return math.inf
+        return max((self.measured_in(each.error, each.loop_error) for each in judgement.judged), default=0.0)
 
 
 RATIOS = {"": 1.0, "%": 0.01}
@@ -96,8 +108,12 @@ class AllowedError:
             raise CrosscheckError(f"largest {self.kind} error: {self.largest:g} is not positive and finite")
 
     @classmethod
-    def parse(cls, text: str) -> AllowedError:
+    def parse(cls, text: str, option: str = "--max-error") -> AllowedError:
         """Read an allowed error, such as "1e-3" or "0.1%" (relative), "position=1mm" or "rotation=0.1deg".
+
+        Args:
+            text: the text.
+            option: name of the option or argument, for messages.
 
         Raises:
             CrosscheckError: for another name, unit or number; the message has the allowed ones.
@@ -105,7 +121,7 @@ class AllowedError:
         name, equals, value = text.rpartition("=")
         if equals and name not in set(ErrorKind):
             raise CrosscheckError(
-                f"--max-error {text}: unknown error {name!r}; choose from {_listed(ErrorKind)}"
+                f"{option} {text}: unknown error {name!r}; choose from {_listed(ErrorKind)}"
             )
         kind = ErrorKind(name) if equals else ErrorKind.RELATIVE
         units = UNITS[kind]
@@ -115,18 +131,25 @@ class AllowedError:
         except ValueError:
             number = math.nan
         if found is None or not math.isfinite(number):
-            example = "--max-error 1e-3 or --max-error position=1mm"
-            raise CrosscheckError(
-                f"--max-error {text}: {value!r} is no number with a unit; such as {example}"
-            )
+            example = f"{option} 1e-3 or {option} position=1mm"
+            raise CrosscheckError(f"{option} {text}: {value!r} is no number with a unit; such as {example}")
         if found[2] not in units:
             allowed = _listed(unit for unit in units if unit)
+            needed = f"; for a length write {option} position={text}" if found[2] in LENGTHS else ""
+            needed = f"; for an angle write {option} rotation={text}" if found[2] in ANGLES else needed
             raise CrosscheckError(
-                f"--max-error {text}: no unit {found[2]!r} of {kind}; choose from {allowed}"
+                f"{option} {text}: no unit {found[2]!r} of {kind}; choose from {allowed}"
+                f"{'' if equals else needed}"
             )
         if number <= 0.0:
-            raise CrosscheckError(f"--max-error {text}: needed: a number above 0")
+            raise CrosscheckError(f"{option} {text}: needed: a number above 0")
         return cls(kind, number * units[found[2]])
+
+    @property
+    def text(self) -> str:
+        """The limit in words, such as "0.1 % of the motion" or "1 mm (position)"."""
+        of_what = "of the motion" if self.kind is ErrorKind.RELATIVE else f"({self.kind})"
+        return f"{in_unit(self.largest, self.kind)} {of_what}"
 
     def is_exceeded_by(self, judgement: Judgement) -> bool:
         """Return True if a judged run has a larger error, or diverged."""
@@ -138,9 +161,9 @@ def _listed(names: Iterable[str]) -> str:
     return ", ".join(names)
 
 
-def without_loops(judgement: Judgement) -> dict[ErrorKind, str]:
-    """Map the errors of loops to why they cannot be limited, if the run has no such loop constraints."""
-    found, loops = {}, judgement.loop_error
+def without_loops(loops: LoopError) -> dict[ErrorKind, str]:
+    """Map the errors of loops to why they cannot be limited, if a run has no such loop constraints."""
+    found = {}
     has_loops = bool(loops.opening_at[0] or loops.angle_at[0])
     for kind, (name, _), measure in (
         (ErrorKind.OPENING, loops.opening_at, "lengths"),
@@ -162,10 +185,26 @@ def exceeded_text(name: str, judgement: Judgement, exceeded: Sequence[AllowedErr
         exceeded: the largest errors that the user allows.
     """
     run = "the run with your settings" if name == OWN_RUN else f"the log {name}"
-    if reason := _divergence(judgement):
-        return f"{run} diverged: {reason}"
-    parts = [f"{each.kind} {', allowed '.join(_both(each, judgement))}" for each in exceeded]
+    if judgement.stopped:
+        return f"{run} diverged: {judgement.stopped}"
+    # the run of the file as it stands keeps some of these errors: those are of the run without what acts
+    parts = [
+        f"{each.kind} {', allowed '.join(_both(each, judgement))}{_reduction(each, judgement)}"
+        for each in exceeded
+    ]
     return f"errors of {run}: {'; '.join(parts)}"
+
+
+def _reduction(allowed: AllowedError, judgement: Judgement) -> str:
+    """Name the elements without which a run exceeds an error that the run as it stands does not exceed."""
+    own = allowed.kind.measured_in(judgement.error, judgement.loop_error) if judgement.is_judged else 0.0
+    return "" if own > allowed.largest else f" (without {elements_text(judgement.events)})"
+
+
+def elements_text(events: Sequence[Event]) -> str:
+    """Name the first one of some elements, and the number of the others."""
+    first, *others = events
+    return f"{first.element}{f' and {len(others)} more' if others else ''}"
 
 
 def _both(allowed: AllowedError, judgement: Judgement) -> tuple[str, str]:
@@ -178,14 +217,9 @@ def _both(allowed: AllowedError, judgement: Judgement) -> tuple[str, str]:
 
 def found_text(judgement: Judgement, kind: ErrorKind) -> str:
     """Format an error of a judged run, or why the run diverged."""
-    if reason := _divergence(judgement):
-        return f"diverged: {reason}"
+    if judgement.stopped:
+        return f"diverged: {judgement.stopped}"
     return in_unit(kind.of(judgement), kind)
-
-
-def _divergence(judgement: Judgement) -> str:
-    """Return why a run diverged, if only with contacts, limits and friction; "" for a complete run."""
-    return judgement.stopped or judgement.stopped_as_it_stands
 
 
 def in_unit(value: float, kind: ErrorKind, digits: int = 3) -> str:

@@ -2,8 +2,8 @@
 
 In: a file in its own engine (`newton_euler.reading.file_run.FileSimulation`): MuJoCo for MJCF, Pinocchio for
 URDF. Out: runs with any settings, and their errors, for `crosscheck.own_run.judge` and
-`crosscheck.own_run.tune`. The reference does not simulate contacts, limits and dry friction. A reduced run
-has these elements switched off.
+`crosscheck.own_run.tune`. The reference does not simulate contacts, limits and dry friction: it is a solution
+of the file as it stands until the first of them acts. A reduced run has these elements switched off.
 """
 
 from __future__ import annotations
@@ -36,6 +36,12 @@ MAX_STEPS = 200_000
 """Largest number of time steps of the judged run; a longer run is judged up to this number."""
 
 
+TIMINGS = 3
+"""Number of runs of which the shortest run time is reported."""
+
+MAX_TIMED_RUN = 0.5
+"""Largest run time, s, of a run that is repeated for a more accurate run time."""
+
 MIN_OUTPUTS = 10
 """Smallest number of outputs after the start at which a motion is compared. If a motion is chaotic before so
 many outputs of the scene, outputs are closer to each other."""
@@ -64,26 +70,20 @@ class MeasuredSettings:
         return " ".join(f'{name}="{value}"' for name, value in self.changes.items())
 
 
-def merged(events: Sequence[Event], acting: Sequence[Event]) -> tuple[Event, ...]:
-    """Return the first event of each element in two sequences, in the order of time.
+def with_names(acting: Sequence[Event], events: Sequence[Event]) -> tuple[Event, ...]:
+    """Return the elements that act in the reference's motion, contacts with the names of both bodies.
 
     Contacts are one element in the reference's motion, and one for each pair of bodies in a run of the file.
-    If a pair is known, the first one stands for the contacts of the reference's motion.
+    If the run has contacts, its first pair stands for those of the reference's motion.
 
     Args:
+        acting: elements of the file that act in the reference's motion, in the order of time.
         events: events in a run of the file.
-        acting: elements of the file that act in the reference's motion.
     """
-    pairs = [event for event in events if event.element.startswith(CONTACT_OF)]
-    if pairs:
-        acting = [
-            replace(event, element=pairs[0].element) if event.element == CONTACTS else event
-            for event in acting
-        ]
-    first: dict[str, Event] = {}
-    for event in sorted([*events, *acting], key=lambda event: event.time):
-        first.setdefault(event.element, event)
-    return tuple(first.values())
+    pairs = [event.element for event in events if event.element.startswith(CONTACT_OF)]
+    return tuple(
+        replace(event, element=pairs[0]) if pairs and event.element == CONTACTS else event for event in acting
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +99,8 @@ class Comparison:
         every: number of the file's time steps from one output to the next.
         steps: number of the file's time steps in the compared time.
         until: time, s, at which the comparison of all mechanisms ends; None for the whole run.
+        reduced: True if runs have all elements switched off that the reference does not simulate; False for
+            runs of the file as it stands.
     """
 
     simulation: FileSimulation[Any]
@@ -108,6 +110,7 @@ class Comparison:
     every: int
     steps: int
     until: float | None
+    reduced: bool = False
     _runs: dict[Any, FileRun] = field(default_factory=dict)
 
     @classmethod
@@ -165,6 +168,26 @@ class Comparison:
         reference = ending.until_end(self.reference)
         return replace(ending, scale=MotionScale.of(reference, self.scene.mechanism, self.horizons))
 
+    def until_event(self, events: Sequence[Event], run: FileRun) -> Comparison | None:
+        """Return the comparison until the first event; None if the motion until then is too short.
+
+        A motion is long enough if it has `MIN_OUTPUTS`, and if the mechanism of the largest error clearly
+        moves. The error of a short motion is a large part of the motion, as that grows with the square of
+        time.
+
+        Args:
+            events: elements that act in the reference's motion, in the order of time; at least one.
+            run: run with the settings of the file.
+        """
+        if not self.reaches(events[0].time):
+            return None
+        ending = self.ending_at(events[0].time)
+        error = ending.error(run)
+        by_position = error.relative_position >= error.relative_rotation
+        body, _ = error.position_at if by_position else error.rotation_at
+        outputs = len(ending.until_end(self.reference).time) - 1  # after the start
+        return ending if outputs >= MIN_OUTPUTS and ending.scale.by_body[body].moves(by_position) else None
+
     @property
     def horizons(self) -> tuple[float | None, ...]:
         """Time, s, at which the comparison of each mechanism ends because its motion is chaotic."""
@@ -174,14 +197,11 @@ class Comparison:
         """Return True if a time, s, is in the run and the run has outputs between the start and then."""
         return bool(self.reference.time[1] < time <= self.reference.time[-1])
 
-    def run(
-        self, settings: Any, reduced: bool = True, simulation: FileSimulation[Any] | None = None
-    ) -> FileRun:
+    def run(self, settings: Any, simulation: FileSimulation[Any] | None = None) -> FileRun:
         """Simulate the file, or another simulation, with outputs at the times of the reference.
 
         Args:
             settings: settings of the run.
-            reduced: True to switch off all elements that the reference does not simulate.
             simulation: simulation of a changed model; that of the file if None.
         """
         own_step = self.simulation.settings.timestep
@@ -190,13 +210,14 @@ class Comparison:
         stride = next(n for n in count(1) if round(n * every, 6).is_integer() and n * every > 0.5)
         outputs = self.steps // self.every // stride
         every = round(stride * every)
-        return (simulation or self.simulation).run(settings, outputs * every, every, reduced)
+        return (simulation or self.simulation).run(settings, outputs * every, every, self.reduced)
 
     def run_once(self, settings: Any) -> FileRun:
-        """Return the reduced run with some settings; it is simulated at the first call."""
-        if settings not in self._runs:
-            self._runs[settings] = self.run(settings)
-        return self.in_window(self._runs[settings])
+        """Return the run with some settings; it is simulated at the first call."""
+        key = settings, self.reduced
+        if key not in self._runs:
+            self._runs[key] = self.run(settings)
+        return self.in_window(self._runs[key])
 
     def in_window(self, run: FileRun) -> FileRun:
         """Return a run, as a complete one if it has all outputs up to the end of the comparison."""
@@ -235,7 +256,8 @@ class Comparison:
     @property
     def completed(self) -> list[FileRun]:
         """Runs of `run_once` that came to the end of the comparison."""
-        return [run for each in self._runs.values() if not (run := self.in_window(each)).stopped]
+        runs = (run for (_, reduced), run in self._runs.items() if reduced == self.reduced)
+        return [run for each in runs if not (run := self.in_window(each)).stopped]
 
     def affords(self, settings: Any) -> bool:
         """Return True if a run with these settings has few enough evaluations for its engine."""
@@ -248,6 +270,13 @@ class Comparison:
     def loop_error(self, run: FileRun) -> LoopError:
         """Find the largest violations of the loop constraints of a run, up to the time `until`."""
         return LoopError.of(run.loop_errors, self.until_end(run.trajectory).time)
+
+    def fastest(self, settings: Any) -> FileRun:
+        """Return the run with the shortest run time of `TIMINGS` runs; a long run is not repeated."""
+        runs = [self.run(settings)]
+        while len(runs) < TIMINGS and runs[0].trajectory.wall_time <= MAX_TIMED_RUN:
+            runs.append(self.run(settings))
+        return min(runs, key=lambda run: run.trajectory.wall_time)
 
     def relative_run_time(self, settings: Any, run: FileRun, own: FileRun) -> float:
         """Return the run time per second of motion, as a multiple of that with the settings of the file.

@@ -17,7 +17,7 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.file_run import LoopErrors
 from newton_euler.scalars import Array
 
-ACCURATE_BELOW, USABLE_BELOW = 1e-3, 1e-2
+ACCURATE_BELOW, OFF_BELOW = 1e-3, 1e-2
 """Relative errors that separate the bands. Parameters of real robots are known to about 1 %. A simulation
 error below 0.1 % adds nothing to that; above 1 % the simulation is the largest error."""
 
@@ -33,17 +33,22 @@ MIN_STATED_POSITION = 0.5
 relative error. A smaller one is stated by rotations. People judge lengths more easily than angles."""
 
 
+NO_MOTION = 1e-9
+"""Largest motion, m or rad, that counts as none."""
+
+
 class Band(StrEnum):
     """Accuracy of a run in words."""
 
     ACCURATE = "ACCURATE"
     """The relative error is below 0.1 %."""
-    USABLE = "USABLE"
+    OFF = "OFF"
     """The relative error is below 1 %."""
     WRONG = "WRONG"
     """The relative error is 1 % or more, or the run diverged."""
     NOT_JUDGED = "NOT JUDGED"
-    """No output after the start is compared, as the motion is chaotic or unstable before the first one."""
+    """No output after the start is compared, as the motion is chaotic or an element acts that the reference
+    does not simulate; or nothing moves."""
 
     @property
     def verdict(self) -> Literal["holds", "doubtful", "fails"]:
@@ -51,7 +56,7 @@ class Band(StrEnum):
         match self:
             case Band.ACCURATE:
                 return "holds"
-            case Band.USABLE | Band.NOT_JUDGED:
+            case Band.OFF | Band.NOT_JUDGED:
                 return "doubtful"
             case Band.WRONG:
                 return "fails"
@@ -109,7 +114,7 @@ class RunError:
             return Band.NOT_JUDGED
         if self.relative < ACCURATE_BELOW:
             return Band.ACCURATE
-        return Band.USABLE if self.relative < USABLE_BELOW else Band.WRONG
+        return Band.OFF if self.relative < OFF_BELOW else Band.WRONG
 
 
 @dataclass(frozen=True)
@@ -248,6 +253,11 @@ class MotionScale:
     def by_body(self) -> Mapping[str, MechanismMotion]:
         """The motion of the mechanism of each body, by the name of the body; the ground is not in it."""
         return {body: motion for motion in self.mechanisms for body in motion.bodies}
+
+    @property
+    def rests(self) -> bool:
+        """True if no mechanism moves."""
+        return all(max(each.length, each.angle) <= NO_MOTION for each in self.mechanisms)
 
     @property
     def length(self) -> float:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, is_dataclass
+from dataclasses import asdict, dataclass, field, is_dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from crosscheck.own_run.comparison import MIN_OUTPUTS, Comparison, merged
+from crosscheck.own_run.comparison import Comparison, with_names
 from crosscheck.own_run.errors import (
+    ACCURATE_BELOW,
     Band,
     LoopError,
     MotionScale,
@@ -22,16 +23,17 @@ from crosscheck.own_run.stability import ModeAtFault, ModelChange, Stability, mo
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.file_run import OF_UNSTABLE_MODES, CauseName, Event, FileRun, FileSimulation
+from newton_euler.reading.import_report import CONTACTS, FRICTION, LIMITS
 
 STATES = 8
 """Number of states of the run at which the fastest mode is sought."""
 
 
-CANCELLATION = 1.25
+CANCELLATION = 1.05
 """Smallest ratio of the error by one cause and the error of the run at which errors count as cancelling."""
 
 
-MIN_EXPLAINED = 0.5
+MIN_EXPLAINED = 0.75
 """Smallest sum of the errors by all causes, as a fraction of the run's error, that explains this error."""
 
 
@@ -55,7 +57,7 @@ class MeasuredCause:
 
 @dataclass(frozen=True)
 class MeasuredError:
-    """Errors of a file's run up to the end of a comparison.
+    """Errors of a file's run in a baseline.
 
     Attributes:
         error: error of the run.
@@ -72,34 +74,36 @@ class MeasuredError:
 class Judgement:
     """Judgement of a file's run.
 
+    The judged run is the file as it stands. If an element acts that the reference does not have, such as a
+    contact, the comparison ends there, and `without` judges the run of the file without such elements.
+
     Attributes:
         engine: name and version of the file's engine.
         settings: settings of the file in words.
-        error: error of the judged run, up to the time at which it ended.
+        error: error of the run, up to the end of the comparison or the time at which the run ended.
         loop_error: largest violations of the loop constraints up to then.
         stopped: reason why the run ended early; "" for a complete run.
-        events: elements of the file that act and that the reference does not have, in the order of time. If
-            there are any, the judged run is without them.
-        until: time, s, at which the comparison ends because the first of `events` acts; None if it ends with
-            the run. It ends with the event if the error until then is a larger part of the motion until then
-            than the error of the whole run, or if only the run without `events` stops early.
+        events: elements of the file that act in the reference's motion and that the reference does not have,
+            in the order of time.
+        until: time, s, at which the comparison ends because the first of `events` acts; 0 if the motion until
+            then is too short to judge; None if the comparison ends with the run.
+        only_in_run: elements that act in the judged run although they do not act in the reference's motion.
+            Their action is a part of the error.
+        without: judgement of the whole run without all `events`; None if there are none, or if no run of the
+            file's engine has them.
         approximated: dry friction and limits of the file that the reference has as forces. The difference of
             both models is a part of the error.
-        other: the errors of the whole run if the comparison ends with an event, or else the errors until the
-            first event; None if no event is after the start.
-        causes: error by property of the settings, largest first; empty for an accurate run.
+        causes: error by property of the settings, largest first; empty for an accurate run. If the run before
+            the first event needs no causes, `without` has those of the run without `events`.
         harmless: tested properties without which no run is closer to the reference.
         remedies: settings with a smaller error, cheapest first; empty for an accurate run.
+        smallest: smallest error of all tried settings if there are no `remedies` although some were tried.
         stability: stability limit of the time step, and the mode of the linearized model that sets the limit.
             Only if the run diverged, or the time step or the integrator is the largest cause of its error.
         changes: changes of the model with which the time step is stable; empty if it is stable.
-        run: the judged run.
+        run: the judged run, up to the end of the comparison.
         reference: the reference solution at the same times.
         are_assumed: True if the settings are usual ones, since the file has none and the user gives none.
-        stopped_as_it_stands: reason why the run with contacts, limits and friction ended early, although the
-            judged run without them completes; "" otherwise.
-        stopped_reduced: reason why the run without contacts, limits and friction ended early, although the
-            run with them completes; "" otherwise.
         scale: extent of the reference's motion, by which errors are divided. A mechanism that is chaotic is
             compared until its `MechanismMotion.until`.
         unjudged_from: time, s, from which the run is not judged because it has too many time steps; None if
@@ -124,21 +128,35 @@ class Judgement:
     scale: MotionScale
     stability: Stability | None = None
     changes: tuple[ModelChange, ...] = ()
-    stopped_as_it_stands: str = ""
-    stopped_reduced: str = ""
+    only_in_run: tuple[Event, ...] = ()
     run_inputs: Mapping[str, Any] = field(default_factory=dict)
     are_assumed: bool = False
     harmless: tuple[str, ...] = ()
+    smallest: RunError | None = None
     unjudged_from: float | None = None
     extended_to: float | None = None
     approximated: tuple[str, ...] = ()
-    other: MeasuredError | None = None
+    without: Judgement | None = None
 
     @property
-    def measured(self) -> tuple[MeasuredError, ...]:
-        """Errors of the judged comparison, and those of the other comparison if there is one."""
-        judged = MeasuredError(self.error, self.loop_error, self.scale)
-        return (judged,) if self.other is None else (judged, self.other)
+    def judged(self) -> tuple[Judgement, ...]:
+        """This judgement and that of the run without `events`, as far as they have an error.
+
+        A run that diverges only without `events` is not in the result: that run is not the user's.
+        """
+        own = (self,) if self.is_judged else ()
+        reduced = self.without
+        return (*own, reduced) if reduced and reduced.is_judged and not reduced.stopped else own
+
+    @property
+    def analyzed(self) -> Judgement:
+        """The judgement with causes and remedies: this one, or else that of the run without `events`."""
+        return self if self.without is None or self.causes or self.remedies else self.without
+
+    @property
+    def shown(self) -> Judgement:
+        """The judgement to draw: this one, or that of the run without `events` if this one has no motion."""
+        return self if self.without is None or len(self.run.time) > 1 else self.without
 
     @property
     def errors_cancel(self) -> bool:
@@ -156,28 +174,40 @@ class Judgement:
         return bool(self.stopped) or total >= MIN_EXPLAINED * self.error.relative_by(by_position)
 
     @property
+    def rests(self) -> bool:
+        """True if nothing moves in the reference, and the run rests as well."""
+        return self.scale.rests and self.error.relative < ACCURATE_BELOW and not self.stopped
+
+    @property
     def is_judged(self) -> bool:
-        """False if no output of a complete run after the start is compared, see `Band.NOT_JUDGED`."""
+        """False if a complete run shows nothing, see `Band.NOT_JUDGED`."""
         return self.band is not Band.NOT_JUDGED
 
     @property
     def why_not_judged(self) -> str:
-        """Reason why no output after the start is compared, for a run that is not judged."""
-        return early_chaos_text(self.scale)
+        """Reason why a run is not judged, and what would permit a judgement."""
+        if self.until is not None and not self.error.outputs:
+            return _early_event_text(self.events[0])
+        if not self.error.outputs:
+            return early_chaos_text(self.scale)
+        return "nothing moves, so that the run tests nothing; needed: a motion, such as --set excitation=on"
 
     @property
     def band(self) -> Band:
-        """Accuracy of the run; a run that diverged, if only with what the reference lacks, is wrong."""
-        return Band.WRONG if self.stopped or self.stopped_as_it_stands else self.error.band
+        """Accuracy of the run; a run that diverged is wrong."""
+        if self.stopped:
+            return Band.WRONG
+        return Band.NOT_JUDGED if self.rests else self.error.band
 
     def summary(self) -> dict[str, Any]:
         """All numbers, for JSON."""
-        left_out = ("run", "reference")
+        left_out = ("run", "reference", "without")
         fields = {name: value for name, value in vars(self).items() if name not in left_out}
         position, rotation = errors_over_time(self.run, self.reference)
         found: dict[str, Any] = {
             "band": self.band.value,
             "relative": self.error.relative,
+            "without": self.without.summary() if self.without else None,
             "error_over_time": {
                 "time": self.run.time[: len(position)].tolist(),
                 "position": np.max(position, axis=1).tolist(),
@@ -194,43 +224,75 @@ def _plain(value: Any) -> Any:
     return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
 
 
+def _early_event_text(first: Event) -> str:
+    """State that an element acts before the motion is long enough to judge, and what to do."""
+    since = f"from {first.time:.3g} s on" if first.time else "from the start on"
+    acts = "act" if is_plural(first) else "acts"
+    options = {FRICTION: "--set friction=regularized", LIMITS: "--set limits=compliant"}
+    option = next((option for topic, option in options.items() if first.element.startswith(topic)), "")
+    what_to_do = f"; {option} makes a force of it, if the joint is a hinge or a slide" if option else ""
+    it = "them" if acts == "act" else "it"
+    return f"{first.element} {acts} {since}, and the reference does not simulate {it}{what_to_do}"
+
+
+def is_plural(event: Event) -> bool:
+    """Return True if the name of an element is plural, such as "limits of joint 'pivot'"."""
+    return event.element.startswith((CONTACTS, LIMITS))
+
+
 def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judgement:
     """Judge the run of a file with its own settings.
 
     Args:
         simulation: the file in its own engine.
-        acting: elements of the file that act in the reference's motion and are not simulated there.
+        acting: elements of the file that act in the reference's motion and are not simulated there, in the
+            order of time. Until the first of them acts, the reference is a solution of the file as it stands.
 
     Raises:
         NewtonEulerError: if the scene has no reference solution.
     """
     whole = Comparison.of(simulation)
-    # the run as it stands; if something acts that the reference does not have, the run without such elements
-    as_it_stands = run = whole.run(simulation.settings, reduced=False)
-    events = merged(run.events, acting)
-    if events:
-        run = whole.run_once(simulation.settings)  # reduced, and kept for later calls
-    stopped_reduced = "" if as_it_stands.stopped else run.stopped
-    # until the first event both runs are the same
-    compared, other = whole, None
-    if events and whole.reaches(events[0].time):
-        until_event = whole.ending_at(events[0].time)
-        if stopped_reduced:
-            compared = until_event
-        elif not run.stopped:
-            # the larger one of both errors is judged
-            judged, other = _measured(whole, run), _measured(until_event, run)
-            if other.error.relative > judged.error.relative and _is_long_enough(until_event, other.error):
-                compared, other = until_event, judged
-    run = compared.in_window(run)
-    found = _measured(compared, run)
-    error = found.error
+    run = whole.run_once(simulation.settings)
+    events = with_names(acting, run.events)
+    acting_names = {event.element for event in events}
+    only_in_run = tuple(event for event in run.events if event.element not in acting_names)
+    if not (events and simulation.has_all_elements):
+        judged = _judgement(whole, run, is_analyzed=True, only_in_run=only_in_run)
+        return replace(judged, events=events)
+    compared = whole.until_event(events, run) or whole.ending_at(0.0)
+    # causes and remedies are those of the run as it stands if its error needs them
+    needs_causes = not run.stopped and compared.error(run).band in (Band.OFF, Band.WRONG)
+    own = _judgement(
+        compared,
+        run,
+        is_analyzed=needs_causes,
+        only_in_run=tuple(event for event in only_in_run if event.time < events[0].time),
+    )
+    reduced = replace(whole, reduced=True)
+    without = _judgement(reduced, reduced.run_once(simulation.settings), is_analyzed=not needs_causes)
+    return replace(own, events=events, without=without)
+
+
+def _judgement(
+    compared: Comparison, run: FileRun, *, is_analyzed: bool, only_in_run: tuple[Event, ...] = ()
+) -> Judgement:
+    """Judge a run up to the end of a comparison.
+
+    Args:
+        compared: the file with its reference.
+        run: run with the settings of the file.
+        is_analyzed: True to find causes and remedies of an error that is not small.
+        only_in_run: see `Judgement`.
+    """
+    simulation = compared.simulation
+    error = compared.error(run)
     causes: tuple[MeasuredCause, ...] = ()
     harmless: tuple[str, ...] = ()
     remedies: tuple[MeasuredRemedy, ...] = ()
+    smallest: RunError | None = None
     stability: Stability | None = None
     changes: tuple[ModelChange, ...] = ()
-    if run.stopped or error.band in (Band.USABLE, Band.WRONG):
+    if is_analyzed and (run.stopped or error.band in (Band.OFF, Band.WRONG)):
         causes = tuple(_causes(compared, run, error.stated_by_position))
         tested = dict.fromkeys(
             cause.name
@@ -238,7 +300,8 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
             if compared.is_comparable(compared.run_once(cause.without))
         )
         harmless = tuple(name for name in tested if name not in {cause.name for cause in causes})
-        remedies = tuple(find_remedies(compared, run, error))
+        found = find_remedies(compared, run, error)
+        remedies, smallest = found.remedies, found.smallest
         if run.stopped or (causes and causes[0].name in OF_UNSTABLE_MODES):
             stability, changes = _stability(compared, run)
     output_times = compared.reference.time.tolist()
@@ -246,43 +309,26 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
         engine=simulation.engine,
         settings=simulation.words(),
         error=error,
-        loop_error=found.loop_error,
+        loop_error=compared.loop_error(run),
         stopped=run.stopped,
-        events=events,
+        events=(),
         until=compared.until,
         causes=causes,
         remedies=remedies,
-        run=run.trajectory,
-        reference=compared.reference,
-        scale=found.scale,
+        run=compared.until_end(run.trajectory),
+        reference=compared.until_end(compared.reference),
+        scale=compared.scale,
         stability=stability,
         changes=changes,
-        stopped_as_it_stands="" if run.stopped else as_it_stands.stopped,
-        stopped_reduced=stopped_reduced,
-        run_inputs={**simulation.run_inputs(reduced=bool(events)), "output_times": output_times},
+        only_in_run=only_in_run,
+        run_inputs={**simulation.run_inputs(compared.reduced), "output_times": output_times},
         are_assumed=simulation.are_assumed,
         harmless=harmless,
+        smallest=smallest,
         unjudged_from=compared.unjudged_from,
         extended_to=compared.extended_to,
         approximated=tuple(simulation.approximated),
-        other=other,
     )
-
-
-def _measured(compared: Comparison, run: FileRun) -> MeasuredError:
-    """Measure the errors of a run up to the end of a comparison."""
-    return MeasuredError(compared.error(run), compared.loop_error(run), compared.scale)
-
-
-def _is_long_enough(compared: Comparison, error: RunError) -> bool:
-    """Return True if a comparison has `MIN_OUTPUTS`, and the mechanism of the largest error clearly moves.
-
-    The error of a short motion is a large part of the motion, as that grows with the square of time.
-    """
-    by_position = error.relative_position >= error.relative_rotation
-    body, _ = error.position_at if by_position else error.rotation_at
-    outputs = len(compared.until_end(compared.reference).time) - 1  # after the start
-    return outputs >= MIN_OUTPUTS and compared.scale.by_body[body].moves(by_position)
 
 
 def horizons(simulation: FileSimulation[Any]) -> tuple[float | None, ...]:
@@ -296,7 +342,7 @@ def horizons(simulation: FileSimulation[Any]) -> tuple[float | None, ...]:
 def measure_error(
     simulation: FileSimulation[Any], rtol: float, horizons: Sequence[float | None]
 ) -> MeasuredError:
-    """Measure the error of a file's run with its own settings.
+    """Measure the error of a file's run with its own settings, for a baseline.
 
     Elements of the file that the reference does not have are switched off, whether they act or not.
 
@@ -308,7 +354,7 @@ def measure_error(
     Raises:
         CrosscheckError: if the run diverges, or if the motion is chaotic before its first output.
     """
-    compared = Comparison.of(simulation, {"rtol": rtol, "atol": 0.01 * rtol}, horizons)
+    compared = replace(Comparison.of(simulation, {"rtol": rtol, "atol": 0.01 * rtol}, horizons), reduced=True)
     compared.check_outputs()
     run = compared.run(simulation.settings)
     if run.stopped:

@@ -9,7 +9,7 @@ more than those of the file, and the cheapest settings that reach the error `TAR
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any
 
@@ -47,6 +47,20 @@ class MeasuredRemedy(MeasuredSettings):
 
 
 @dataclass(frozen=True)
+class FoundRemedies:
+    """Result of a search for settings with a smaller error.
+
+    Attributes:
+        remedies: settings with at most `MIN_GAIN` of the error, at most two; empty if no tried settings have.
+        smallest: smallest error of all tried settings if there are no remedies; None if there are some, or if
+            no run with other settings completes.
+    """
+
+    remedies: tuple[MeasuredRemedy, ...]
+    smallest: RunError | None
+
+
+@dataclass(frozen=True)
 class _Trial:
     """Settings of a completed run, and the divisor of the file's time step in them."""
 
@@ -54,8 +68,18 @@ class _Trial:
     settings: Any  # `newton_euler.reading.file_run.Settings` of the file's engine
     remedy: MeasuredRemedy
 
+    def timed(self, compared: Comparison, own: FileRun) -> _Trial:
+        """Return the trial with the shortest run time of several runs.
 
-def find_remedies(compared: Comparison, run: FileRun, error: RunError) -> list[MeasuredRemedy]:
+        Args:
+            compared: the file with its reference.
+            own: the fastest run with the settings of the file.
+        """
+        run_time = compared.relative_run_time(self.settings, compared.fastest(self.settings), own)
+        return replace(self, remedy=replace(self.remedy, run_time=run_time))
+
+
+def find_remedies(compared: Comparison, run: FileRun, error: RunError) -> FoundRemedies:
     """Try other settings than those of the file.
 
     Args:
@@ -76,12 +100,19 @@ def find_remedies(compared: Comparison, run: FileRun, error: RunError) -> list[M
         trials = list(islice(_completed(compared, run, _smaller_steps(compared)), KINDS_REFINED))
     # the most accurate kinds at smaller steps
     trials.sort(key=lambda trial: trial.remedy.error.relative)
-    remedies = [trial.remedy for trial in trials]
-    for trial in trials[:KINDS_REFINED]:
-        remedies.extend(_refined(compared, run, trial))
+    for trial in tuple(trials[:KINDS_REFINED]):
+        trials.extend(_refined(compared, run, trial))
     own_error = 1.0 if run.stopped else error.relative
-    better = [each for each in remedies if each.changes and each.error.relative < MIN_GAIN * own_error]
-    return list(_chosen(better, bool(run.stopped)))
+    better = [
+        each for each in trials if each.remedy.changes and each.remedy.error.relative < MIN_GAIN * own_error
+    ]
+    chosen = list(_chosen(better, bool(run.stopped)))
+    if chosen and not run.stopped:  # more accurate run times; without them, those of evaluations remain
+        own = compared.fastest(compared.simulation.settings)
+        chosen = [each.timed(compared, own) for each in chosen]
+    errors = [each.remedy.error for each in trials]
+    smallest = min(errors, key=lambda each: each.relative, default=None)
+    return FoundRemedies(tuple(each.remedy for each in chosen), None if chosen else smallest)
 
 
 def _completed(compared: Comparison, run: FileRun, kinds: Iterable[tuple[float, Any]]) -> Iterator[_Trial]:
@@ -115,7 +146,7 @@ def _smaller_steps(compared: Comparison) -> list[tuple[float, Any]]:
     return sorted(affordable, key=lambda pair: simulation.evaluations(pair[1]))
 
 
-def _refined(compared: Comparison, run: FileRun, trial: _Trial) -> Iterator[MeasuredRemedy]:
+def _refined(compared: Comparison, run: FileRun, trial: _Trial) -> Iterator[_Trial]:
     """Halve the time step of settings until they reach `TARGET` or cost too much; yield all that complete."""
     error, factor = trial.remedy.error, 2.0
     while error.relative > TARGET and factor * trial.remedy.evaluations <= MAX_COST:
@@ -124,29 +155,31 @@ def _refined(compared: Comparison, run: FileRun, trial: _Trial) -> Iterator[Meas
         if not compared.affords(settings):
             return
         for finer in _completed(compared, run, [(divisor, settings)]):
-            yield finer.remedy
+            yield finer
             error = finer.remedy.error
         factor *= 2.0
 
 
-def _chosen(better: Sequence[MeasuredRemedy], diverged: bool) -> Iterator[MeasuredRemedy]:
+def _chosen(better: Sequence[_Trial], diverged: bool) -> Iterator[_Trial]:
     """Yield the remedies to report, see `find_remedies`.
 
     Args:
-        better: remedies with a smaller error than the judged run.
+        better: trials with a smaller error than the judged run.
         diverged: whether the judged run diverged.
     """
 
-    def by_error(remedy: MeasuredRemedy) -> float:
-        return remedy.error.relative
+    def by_error(trial: _Trial) -> float:
+        return trial.remedy.error.relative
 
-    def by_cost(remedy: MeasuredRemedy) -> tuple[float, float]:
-        return remedy.evaluations, remedy.error.relative
+    def by_cost(trial: _Trial) -> tuple[float, float]:
+        return trial.remedy.evaluations, trial.remedy.error.relative
 
-    cheap = min((each for each in better if each.evaluations <= 1.0), key=by_error, default=None)
+    cheap = min((each for each in better if each.remedy.evaluations <= 1.0), key=by_error, default=None)
     if cheap is None and diverged:
         cheap = min(better, key=by_cost, default=None)
-    accurate = min((each for each in better if each.error.relative <= TARGET), key=by_cost, default=None)
+    accurate = min(
+        (each for each in better if each.remedy.error.relative <= TARGET), key=by_cost, default=None
+    )
     if accurate is None:
         accurate = min(better, key=by_error, default=None)
     if cheap is not None:

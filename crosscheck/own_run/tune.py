@@ -1,7 +1,7 @@
 """Find the cheapest settings with which a model file reaches a given error, on the motion of its scene.
 
-In: a file in its own engine (`newton_euler.reading.file_run.FileSimulation`) and a relative error, of the
-measure of `crosscheck.own_run.errors`. Out: a `SettingsSearch` with settings, errors and costs, all of runs.
+In: a file in its own engine (`newton_euler.reading.file_run.FileSimulation`) and a largest error of
+`crosscheck.own_run.allowed`. Out: a `SettingsSearch` with settings, errors and costs, all of runs.
 The cost of settings is their number of evaluations of the equations of motion, so that results repeat
 exactly. `crosscheck.tuning` has the Python interface.
 """
@@ -13,9 +13,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from crosscheck.own_run.comparison import MIN_OUTPUTS, Comparison, MeasuredSettings, merged
-from crosscheck.own_run.errors import MotionScale
-from newton_euler.reading.file_run import Event, FileRun, FileSimulation
+from crosscheck.own_run.allowed import AllowedError, without_loops
+from crosscheck.own_run.comparison import MIN_OUTPUTS, Comparison, MeasuredSettings, with_names
+from crosscheck.own_run.errors import ACCURATE_BELOW, LoopError, MotionScale
+from crosscheck.support.errors import CrosscheckError
+from newton_euler.reading.file_run import Event, FileSimulation
 
 MAX_ORDER = 6.0
 """Largest order of convergence that the search allows for: the 4 of RK4, and a margin for steps that are too
@@ -40,8 +42,13 @@ MAX_LISTED_ERROR = 1.0
 """Relative error from which settings are not listed, unless they have the smallest error: an error as large
 as the motion."""
 
-TIMINGS = 3
-"""Number of runs of which the shortest run time is reported."""
+CONVERGED_RATIO, CONVERGED_CHANGE = 4.0, 0.1
+"""Ratio of time steps over which a converged error changes at most by this fraction. Smaller steps of such
+settings do not reduce the error: what remains has another cause, such as soft constraints. An error of order
+1 or more would change by a factor of 4; one that turns, such as a h - b h^2, by at least a quarter."""
+
+MIN_CONVERGED = 3
+"""Smallest number of time steps that show that an error has converged."""
 
 
 @dataclass(frozen=True)
@@ -49,19 +56,25 @@ class Tried(MeasuredSettings):
     """Settings that the search has tried, with the cost of their run.
 
     Attributes:
+        loop_error: largest violations of the loop constraints.
         stopped: reason why the run ended early; "" for a complete run.
         evaluations: evaluations of the equations of motion per second of motion.
         run_time: measured run time, as a multiple of that with the settings of the file; None if the run
             was not timed. The multiple of the evaluations if the run with the settings of the file stopped.
     """
 
+    loop_error: LoopError
     stopped: str
     evaluations: float
     run_time: float | None = None
 
-    def reaches(self, target: float) -> bool:
-        """Return True if the run is complete and compared, and its relative error is at most `target`."""
-        return not self.stopped and self.error.outputs > 0 and self.error.relative <= target
+    def measured(self, target: AllowedError) -> float:
+        """Return the error of the kind of `target`."""
+        return target.kind.measured_in(self.error, self.loop_error)
+
+    def reaches(self, target: AllowedError) -> bool:
+        """Return True if the run is complete and compared, and its error is at most `target`."""
+        return not self.stopped and self.error.outputs > 0 and self.measured(target) <= target.largest
 
 
 @dataclass(frozen=True)
@@ -71,27 +84,34 @@ class SettingsSearch:
     Attributes:
         engine: name and version of the file's engine.
         settings: settings of the file in words.
-        target: relative error to reach.
+        target: error to reach.
         own: the run with the settings of the file.
         found: the cheapest settings that reach the target; None if no tried settings do.
         tradeoff: settings with a smaller error than all cheaper ones, the cheapest first; errors differ by
             `MIN_RATIO` or more. The last ones are `found`, or have the smallest error of all.
         runs: number of runs that were made.
-        events: elements of the file that act and that the reference does not have, in the order of time. If
-            they act with the settings of the file, all runs are without them.
+        events: elements of the file that act and that the reference does not have, in the order of time.
+        until: time, s, until which runs of the file as it stands are compared, because the first of `events`
+            acts; None if runs are compared to the end. If there are `events`, all runs are then without them,
+            because the motion until the first event is too short.
+        has_converged: True if no settings reach the target because smaller steps do not reduce the error.
+        approximated: see `Judgement`.
         scale: extent of the motion, by which errors are divided, and the time until which each mechanism is
             compared because its motion is chaotic or unstable from then on.
     """
 
     engine: str
     settings: str
-    target: float
+    target: AllowedError
     own: Tried
     found: Tried | None
     tradeoff: tuple[Tried, ...]
     runs: int
     events: tuple[Event, ...]
     scale: MotionScale
+    until: float | None = None
+    has_converged: bool = False
+    approximated: tuple[str, ...] = ()
 
     def summary(self) -> dict[str, Any]:
         """All numbers, for JSON."""
@@ -117,7 +137,7 @@ class _Candidate:
 
 def search_settings(
     simulation: FileSimulation[Any],
-    target: float,
+    target: AllowedError,
     acting: Sequence[Event] = (),
     progress: Callable[[str], None] = lambda _: None,
 ) -> SettingsSearch:
@@ -126,24 +146,31 @@ def search_settings(
     The search tries settings in the order of their costs, and ends at the first ones that reach the target.
     Time steps of each kind of settings divide the time between two outputs by products of twos and fives, or
     multiply it. Runs with longer steps are compared at fewer outputs. A step is not tried if the error at a
-    longer step excludes that it reaches the target, with convergence of order `MAX_ORDER`.
+    longer step excludes that it reaches the target, with convergence of order `MAX_ORDER`, or if the error
+    of such settings has converged.
 
     Args:
         simulation: the file in its own engine.
-        target: relative error to reach.
-        acting: elements of the file that act in the reference's motion and are not simulated there.
+        target: error to reach.
+        acting: elements of the file that act in the reference's motion and are not simulated there, in the
+            order of time.
         progress: shows a message to the user before each run.
 
     Raises:
         NewtonEulerError: if the scene has no reference solution.
-        CrosscheckError: if the motion is chaotic before its first output.
+        CrosscheckError: if the motion is chaotic before its first output, if nothing moves, or if the model
+            has no loops for the kind of `target`.
     """
     progress("simulating the reference")
-    compared = Comparison.of(simulation)
-    compared.check_outputs()
-    # without what the reference does not have, if any of that acts
-    events = merged(compared.run(simulation.settings, reduced=False).events, acting)
-    reduced = bool(events)
+    whole = Comparison.of(simulation)
+    whole.check_outputs()
+    # the file as it stands until something acts that the reference does not have; if that is too early, the
+    # file without it
+    as_it_stands = whole.run(simulation.settings)
+    events = with_names(acting, as_it_stands.events)
+    compared = whole
+    if events and simulation.has_all_elements:
+        compared = whole.until_event(events, as_it_stands) or replace(whole, reduced=True)
     runs = 0
 
     def tried(settings: Any) -> Tried:
@@ -151,12 +178,18 @@ def search_settings(
         runs += 1
         evaluations = simulation.evaluations(settings)
         progress(f"run {runs}: {evaluations:.0f} evaluations per second of motion")
-        run = compared.run(settings, reduced)
-        return Tried(*compared.measured(settings, run), run.stopped, evaluations)
+        run = compared.in_window(compared.run(settings))
+        loop_error = compared.loop_error(run)
+        return Tried(*compared.measured(settings, run), loop_error, run.stopped, evaluations)
 
     own = tried(simulation.settings)
+    if reason := without_loops(own.loop_error).get(target.kind):
+        raise CrosscheckError(reason)
+    if compared.scale.rests and own.error.relative < ACCURATE_BELOW:
+        raise CrosscheckError("nothing moves, so that all settings are accurate; needed: a motion")
     steps_of_file = compared.every  # number of the file's time steps between two outputs
-    judged_outputs = compared.scale.outputs(compared.reference.time) - 1  # after the start
+    times = compared.until_end(compared.reference).time
+    judged_outputs = compared.scale.outputs(times) - 1  # after the start
     numbers = _numbers_of_steps(steps_of_file, judged_outputs)
     kinds = list(simulation.alternatives(divisor=1))  # with the file's time step
 
@@ -179,32 +212,38 @@ def search_settings(
     most = _largest_cost(compared)
     tradeoff: list[tuple[Any, Tried]] = []
     found: Tried | None = None
+    has_converged = False
+    errors: list[list[tuple[float, float]]] = [[] for _ in kinds]  # number of steps and error, by kind
     while waiting and waiting[0].evaluations <= most and found is None:
         each = heapq.heappop(waiting)
         result = tried(each.settings)
-        is_better = all(result.error.relative < one.error.relative for _, one in tradeoff)
+        value = result.measured(target)
+        is_better = all(value < one.measured(target) for _, one in tradeoff)
         if not result.stopped and result.error.outputs and is_better:
             tradeoff.append((each.settings, result))
         if result.reaches(target):
             found = result
         is_far = result.stopped or not result.error.outputs or result.error.relative >= MIN_SATURATED
-        refined = 1.0 if is_far else (result.error.relative / target) ** (1.0 / MAX_ORDER)
+        if not is_far:
+            errors[each.kind].append((each.steps, value))
+            if _has_converged(errors[each.kind]):
+                has_converged = True
+                continue
+        refined = 1.0 if is_far else max(1.0, value / target.largest) ** (1.0 / MAX_ORDER)
         if (finer := candidate(each.kind, each.steps, refined * each.steps)) is not None:
             heapq.heappush(waiting, finer)
-    if found is not None and not reduced:
-        settings = tradeoff[-1][0]
-        events = compared.run(settings, reduced=False).events
 
     # measured run times, of the listed settings only
-    def fastest(settings: Any) -> FileRun:
-        runs_of_settings = [compared.run(settings, reduced) for _ in range(TIMINGS)]
-        return min(runs_of_settings, key=lambda run: run.trajectory.wall_time)
-
     progress("measuring run times")
-    own_run = fastest(simulation.settings)
+    own_run = compared.fastest(simulation.settings)
+
+    def relative_time(settings: Any) -> float:
+        if settings == simulation.settings:
+            return 1.0
+        return compared.relative_run_time(settings, compared.fastest(settings), own_run)
+
     listed = tuple(
-        replace(one, run_time=compared.relative_run_time(settings, fastest(settings), own_run))
-        for settings, one in _thinned(tradeoff)
+        replace(one, run_time=relative_time(settings)) for settings, one in _thinned(tradeoff, target)
     )
     return SettingsSearch(
         simulation.engine,
@@ -216,7 +255,25 @@ def search_settings(
         runs,
         events,
         compared.scale,
+        until=compared.until,
+        has_converged=has_converged and found is None,
+        approximated=tuple(simulation.approximated),
     )
+
+
+def _has_converged(errors: Sequence[tuple[float, float]]) -> bool:
+    """Return True if the last errors of settings do not change with the time step.
+
+    Args:
+        errors: number of time steps between outputs and the error, the longest step first.
+    """
+    last, _ = errors[-1]
+    longest = max((number for number, _ in errors if number * CONVERGED_RATIO <= last), default=None)
+    if longest is None:
+        return False
+    values = [value for number, value in errors if number >= longest]
+    is_same = max(values) - min(values) <= CONVERGED_CHANGE * max(values)
+    return is_same and len(values) >= MIN_CONVERGED
 
 
 def _largest_cost(compared: Comparison) -> float:
@@ -226,15 +283,17 @@ def _largest_cost(compared: Comparison) -> float:
     return min(MAX_COST * simulation.evaluations(simulation.settings), affordable)
 
 
-def _thinned(tradeoff: list[tuple[Any, Tried]]) -> list[tuple[Any, Tried]]:
+def _thinned(tradeoff: list[tuple[Any, Tried]], target: AllowedError) -> list[tuple[Any, Tried]]:
     """Select settings whose errors differ by `MIN_RATIO` or more; the most accurate ones are kept.
 
     Args:
         tradeoff: settings and their runs, the largest error first.
+        target: error to reach.
     """
     kept: list[tuple[Any, Tried]] = []
     for settings, one in reversed(tradeoff):
-        if not kept or MIN_RATIO * kept[-1][1].error.relative <= one.error.relative < MAX_LISTED_ERROR:
+        is_listed = not kept or MIN_RATIO * kept[-1][1].measured(target) <= one.measured(target)
+        if is_listed and (not kept or one.error.relative < MAX_LISTED_ERROR):
             kept.append((settings, one))
     return kept[::-1]
 

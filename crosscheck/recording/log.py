@@ -33,6 +33,7 @@ import numpy as np
 import rerun as rr
 
 from crosscheck.engines.palette import palette
+from crosscheck.own_run.allowed import OWN_RUN, REDUCED_RUN
 from crosscheck.own_run.judge import Judgement
 from crosscheck.recording.blueprint import blueprint, send_layout
 from crosscheck.recording.entities import (
@@ -115,12 +116,14 @@ def log_run(
     drawn, ghosts = dict(trajectories), engines[1:]
     if own_run is not None and engines:
         # the first engine's run, displaced by the error of the own run
-        drawn[YOUR_SETTINGS] = displaced(first, own_run)
+        shown_run = own_run.shown
+        drawn[YOUR_SETTINGS] = displaced(first, shown_run)
         ghosts = [*ghosts, YOUR_SETTINGS]
         color = rgb(palette([YOUR_SETTINGS])[YOUR_SETTINGS])
         styles[YOUR_SETTINGS] = Style(color, LINE_WIDTH, ghost=True)
-        shown_plots = [*error_plots(own_run, "error of your settings", (YOUR_SETTINGS,)), *shown_plots]
-        output_times[YOUR_SETTINGS] = own_run.run.time
+        group = f"error of {OWN_RUN if shown_run is own_run else REDUCED_RUN}"
+        shown_plots = [*error_plots(shown_run, group, (YOUR_SETTINGS,)), *shown_plots]
+        output_times[YOUR_SETTINGS] = shown_run.run.time
     distances = {name: largest_distance(mechanism, first, drawn[name]) for name in ghosts}
     visible = MIN_VISIBLE_DISTANCE * mechanism.size
     hidden_ghosts = [name for name, distance in distances.items() if distance <= visible]

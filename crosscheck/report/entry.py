@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from crosscheck.own_run.allowed import OWN_RUN
+from crosscheck.own_run.allowed import OWN_RUN, REDUCED_RUN
 from crosscheck.report import plots
 from crosscheck.report.chart import BarChart
 from crosscheck.report.diff_page import bar_charts
@@ -173,8 +173,11 @@ def make_entry(file: Path, results: ResultFile, anchor: str, progress: Progress)
         entry.pictures.append(Picture(content, caption))
     # plots of errors and runs over time
     if isinstance(results, CrosscheckFile):
-        own = {OWN_RUN: results.own_run} if results.own_run is not None else {}
-        for name, run in {**own, **results.logs}.items():
+        own = results.own_run
+        judged = {OWN_RUN: own, REDUCED_RUN: own and own.without, **results.logs}
+        for name, run in judged.items():
+            if run is None or len(run.error_over_time.time) == 1:  # no motion was compared
+                continue
             errors = run.error_over_time
             drawn = plots.run_errors(errors.time, errors.position, errors.rotation, name)
             entry.pictures.extend(Picture(content, caption) for content, caption in drawn)

@@ -28,6 +28,7 @@ TOPICS = (
     "verdicts",
     "statuses",
     "notes",
+    "lines",
     "accuracy",
     "own_run_causes",
     "errors",
@@ -53,7 +54,7 @@ class Explanation:
 
     Attributes:
         name: the name as commands print it, without a unit.
-        also: other spellings, such as "OFF BY" for the accuracy USABLE.
+        also: other spellings, such as "OFF BY" for the accuracy OFF.
         meaning: what was compared, or what the name means.
         labeled: further paragraphs by label, one of `LABELS`.
     """

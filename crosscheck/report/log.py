@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING
 
 from crosscheck.own_run.allowed import AllowedError, length
 from crosscheck.own_run.errors import Band
+from crosscheck.own_run.judge import is_plural
+from crosscheck.report.line_name import LineName
 from crosscheck.report.own_run import (
     allowed_lines,
     angle,
     chaos_text,
     error_texts,
     headline,
-    is_plural,
     percent,
     size,
 )
@@ -66,11 +67,13 @@ def _lines(judgement: LogJudgement, allowed: Sequence[AllowedError]) -> Iterator
         texts.append("inputs of the log")
     yield f"  run     {'; '.join(texts)}"
     # mistakes in reading the log: other units, orders or times with which the error is much smaller
-    yield from (f"  mistake {mistake.text}" for mistake in judgement.mistakes)
+    yield from (LineName.MISTAKE.line(mistake.text) for mistake in judgement.mistakes)
     if error.position or error.rotation:
-        yield f"  errors  {'; '.join(error_texts(error, judgement.loop_error, judgement.has_energy))}"
+        yield LineName.ERRORS.line(
+            f"{'; '.join(error_texts(error, judgement.loop_error, judgement.has_energy))}"
+        )
     yield from allowed_lines(judgement, allowed)
-    yield from (f"  note    {note}" for note in _notes(judgement))
+    yield from (LineName.NOTE.line(note) for note in _notes(judgement))
 
 
 def _notes(judgement: LogJudgement) -> Iterator[str]:

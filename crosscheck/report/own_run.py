@@ -10,9 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from crosscheck.own_run.allowed import AllowedError, found_text, in_unit, length
+from crosscheck.own_run.allowed import AllowedError, elements_text, found_text, in_unit, length
 from crosscheck.own_run.errors import (
     MAX_ANGLE_SCALE,
+    NO_MOTION,
     Band,
     LoopError,
     MechanismMotion,
@@ -20,17 +21,21 @@ from crosscheck.own_run.errors import (
     RunError,
 )
 from crosscheck.own_run.horizon import MAX_ERROR_GROWTH
-from crosscheck.own_run.judge import Judgement
+from crosscheck.own_run.judge import Judgement, is_plural
 from crosscheck.own_run.remedies import MeasuredRemedy
 from crosscheck.own_run.stability import ModelChange, Stability
+from crosscheck.report.line_name import LineName
 from crosscheck.report.table import Cell, Lines, Rows
 from crosscheck.support.units import SECONDS_AND_MS, quantity_text, significant
 from newton_euler.reading.file_run import Event
-from newton_euler.reading.import_report import CONTACTS, LIMITS
+from newton_euler.reading.import_report import LIMITS
 from newton_euler.reading.small_motions import MovingBody
 
 OF_APPROXIMATIONS = "unexplained, or that of friction and limits as forces"
 """Cause of most of an error, if the reference has dry friction or limits of the file as forces."""
+
+APPROXIMATION_REMAINS = "no setting removes the difference between forces and constraints"
+"""Reason why an error remains if the reference has dry friction or limits of the file as forces."""
 
 OWN_MOTION = "without that: --set excitation=off"
 """Option that judges the motion without the inputs and initial velocities that crosscheck adds."""
@@ -51,9 +56,6 @@ HEAVY_NEIGHBOR = 100.0
 ROUND_OFF = 1e-12
 """Relative error that counts as round-off. Errors of a time step are far above it."""
 
-NO_MOTION = 1e-9
-"""Largest motion, m or rad, that counts as none."""
-
 SAME_RUN_TIME = 1.25
 """Largest ratio of two run times that count as the same."""
 
@@ -63,8 +65,8 @@ def own_run_lines(
     excitation: str = "",
     allowed: Sequence[AllowedError] = (),
     start_changes: Sequence[str] = (),
-) -> Lines:
-    """Format a judgement, the result first.
+) -> list[Lines]:
+    """Format a judgement, the result first, then that of the run without what the reference does not have.
 
     Args:
         judgement: the judgement.
@@ -73,7 +75,16 @@ def own_run_lines(
         start_changes: changes of the file's start that satisfy the constraints.
     """
     lines = list(_lines(judgement, excitation, allowed, start_changes))
-    return Lines(title="", lines=lines, verdict=judgement.band.verdict)
+    found = [Lines(title="", lines=lines, verdict=judgement.band.verdict)]
+    if reduced := judgement.without:
+        lines = [f"{without_text(judgement)}  {headline(reduced)}", *_measured_lines(reduced)]
+        found.append(Lines(title="", lines=lines, verdict=reduced.band.verdict))
+    return found
+
+
+def without_text(judgement: Judgement) -> str:
+    """Name the elements without which the second run is judged."""
+    return f"{LineName.WITHOUT} {elements_text(judgement.events)}"
 
 
 def _lines(
@@ -81,53 +92,71 @@ def _lines(
 ) -> Iterator[str]:
     """Yield the lines of a judgement: a headline, then indented lines that begin with a keyword."""
     # a file without settings of a run, such as a URDF, is judged with usual settings, which are assumed
-    yield f"{'usual' if judgement.are_assumed else 'your'} settings  {headline(judgement)}"
-    yield f"  run     {judgement.settings} ({judgement.engine}); {_extent(judgement)}"
+    name = LineName.USUAL_SETTINGS if judgement.are_assumed else LineName.YOUR_SETTINGS
+    yield f"{name}  {headline(judgement)}"
+    extent = f"; {_extent(judgement)}" if judgement.is_judged or judgement.rests else ""
+    yield LineName.RUN.line(f"{judgement.settings} ({judgement.engine}){extent}")
     motion = (
         f"{excitation}; {OWN_MOTION}" if excitation else "the start and the constant controls of the file"
     )
-    yield f"  motion  {'; '.join([motion, *start_changes])}"
-    if judgement.stopped:
-        yield f"  stopped {judgement.stopped}"
-    error = judgement.error
-    if (error.position or error.rotation) and not judgement.stopped:
-        yield f"  errors  {'; '.join(error_texts(error, judgement.loop_error))}"
+    yield LineName.MOTION.line("; ".join([motion, *start_changes]))
     yield from allowed_lines(judgement, allowed)
-    if judgement.events:
-        yield f"  note    {_events_text(judgement)}"
+    if judgement.events and judgement.is_judged:
+        text = unsimulated_text(judgement.events)
+        # a run that is compared to the end, although something acts, does not have these elements either
+        is_ended = judgement.until is not None
+        yield LineName.NOTE.line(
+            f"compared until then: {text}" if is_ended else f"{text}, nor does your loop"
+        )
+    if judgement.only_in_run:
+        yield LineName.NOTE.line(_only_in_run_text(judgement.only_in_run))
     if judgement.approximated:
-        yield f"  note    {_approximated_text(judgement.approximated)}"
-    if chaos := chaos_text(judgement.scale):
-        yield f"  note    {chaos}, and no run with other steps can match"
+        yield LineName.NOTE.line(_approximated_text(judgement.approximated))
     if judgement.unjudged_from is not None:
-        yield f"  note    judged until {judgement.unjudged_from:.3g} s, as the run has too many time steps"
+        yield LineName.NOTE.line(
+            f"judged until {judgement.unjudged_from:.3g} s, as the run has too many time steps"
+        )
     if judgement.extended_to is not None:
         reason = "as the duration of the scene is too few time steps"
-        yield f"  note    judged until {judgement.extended_to:.3g} s, {reason}"
-    if judgement.stopped_as_it_stands:
-        yield f"  note    with what acts in the file, the run stops: {judgement.stopped_as_it_stands}"
+        yield LineName.NOTE.line(f"judged until {judgement.extended_to:.3g} s, {reason}")
+    yield from _measured_lines(judgement)
+
+
+def _measured_lines(judgement: Judgement) -> Iterator[str]:
+    """Yield the lines with the errors of a run, their causes, and settings with smaller errors."""
+    error = judgement.error
+    if judgement.stopped:
+        yield LineName.STOPPED.line(judgement.stopped)
+    elif error.position or error.rotation:
+        yield LineName.ERRORS.line("; ".join(error_texts(error, judgement.loop_error)))
+    if chaos := chaos_text(judgement.scale):
+        yield LineName.NOTE.line(f"{chaos}, and no run with other steps can match")
     if causes := _causes(judgement):
-        yield f"  cause   {'; '.join(causes)}"
+        yield LineName.CAUSE.line("; ".join(causes))
         if judgement.errors_cancel:
             yield "          these errors partly cancel: the removal of one alone can make the run worse"
     if judgement.stability is not None:
         for k, line in enumerate(_stability(judgement.stability)):
-            yield f"  {'mode' if k == 0 else '':<7} {line}"
+            yield LineName.MODE.line(line) if k == 0 else f"{'':<9} {line}"
     for k, fix in enumerate(fix_texts(judgement)):
-        yield f"  {'fix' if k == 0 else '':<7} {fix}"
+        yield LineName.FIX.line(fix) if k == 0 else f"{'':<9} {fix}"
+    if (best := judgement.smallest) is not None:
+        smallest = f"the smallest error is {_sizes_as(judgement, best)} ({percent(best.relative)})"
+        forces = f"; {APPROXIMATION_REMAINS}" if judgement.approximated else ""
+        yield LineName.FIX.line(f"none: no settings that were tried halve the error; {smallest}{forces}")
 
 
 def fix_texts(judgement: Judgement) -> list[str]:
     """Format settings with a smaller error, and changes of the model with which the time step is stable."""
-    settings = [_remedy(remedy, _by_position(judgement, remedy.error)) for remedy in judgement.remedies]
+    settings = [_remedy(remedy, judgement) for remedy in judgement.remedies]
     return settings + [_model_change(change) for change in judgement.changes]
 
 
 def allowed_lines(judgement: Judgement, allowed: Sequence[AllowedError]) -> Iterator[str]:
     """Yield a line with the allowed errors that a judged run does not exceed, if there are any."""
-    if judgement.is_judged and (met := [each for each in allowed if not each.is_exceeded_by(judgement)]):
+    if judgement.judged and (met := [each for each in allowed if not each.is_exceeded_by(judgement)]):
         limits = ", ".join(f"{each.kind} {in_unit(each.largest, each.kind)}" for each in met)
-        yield f"  allowed {limits}: met"
+        yield LineName.ALLOWED.line(f"{limits}: met")
 
 
 def own_run_cases(judgement: Judgement | None, allowed: Sequence[AllowedError]) -> Rows:
@@ -137,13 +166,16 @@ def own_run_cases(judgement: Judgement | None, allowed: Sequence[AllowedError]) 
         judgement: the judgement; None if the run could not be judged.
         allowed: largest errors that the user allows.
     """
-    if judgement is None or (allowed and not judgement.is_judged):
+    if judgement is None or (allowed and not (judgement.judged or judgement.stopped)):
         return [[_limit(each), Cell("not judged", "doubtful")] for each in allowed]
     if not allowed:
-        return [["accuracy", Cell(f"{headline(judgement)}; no --max-error limits it", "doubtful")]]
+        text = headline(judgement)
+        if judgement.without:
+            text += f"; {without_text(judgement)}: {headline(judgement.without)}"
+        return [["accuracy", Cell(f"{text}; no --max-error limits it", "doubtful")]]
     rows: Rows = []
     for each in allowed:
-        found, causes = found_text(judgement, each.kind), "; ".join(_causes(judgement))
+        found, causes = found_text(judgement, each.kind), "; ".join(_causes(judgement.analyzed))
         if each.is_exceeded_by(judgement):
             cell = Cell("; cause ".join(filter(None, [found, causes])), "fails")
         else:
@@ -179,11 +211,18 @@ def _motion(motion: MechanismMotion, scale: MotionScale) -> str:
 def unsimulated_text(events: Sequence[Event]) -> str:
     """Name the first of the elements that act and that the reference does not simulate, and their number."""
     first, *others = events
-    more = f" and {len(others)} more" if others else ""
     acts, it = ("they act", "them") if others or is_plural(first) else ("it acts", "it")
     return (
-        f"{first.element}{more}: {acts} from {first.time:.3g} s on and the reference does not simulate {it}"
+        f"{elements_text(events)}: {acts} from {first.time:.3g} s on and the reference does not simulate {it}"
     )
+
+
+def _only_in_run_text(events: Sequence[Event]) -> str:
+    """State which elements act in the judged run although they do not act in the accurate motion."""
+    first, *others = events
+    act = "act" if others or is_plural(first) else "acts"
+    what = f"{elements_text(events)} {act} from {first.time:.3g} s on in this run only"
+    return f"{what}, because of its error; in the reference's motion nothing of this acts"
 
 
 def _approximated_text(approximated: Sequence[str]) -> str:
@@ -192,29 +231,6 @@ def _approximated_text(approximated: Sequence[str]) -> str:
     more = f" and {len(others)} more" if others else ""
     kinds = "forces" if others or first.startswith(LIMITS) else "a force"
     return f"{first}{more}: {kinds} in the reference, and the difference is a part of the error"
-
-
-def is_plural(event: Event) -> bool:
-    """Return True if the name of an element is plural, such as "limits of joint 'pivot'"."""
-    return event.element.startswith((CONTACTS, LIMITS))
-
-
-def _events_text(judgement: Judgement) -> str:
-    """Tell what acts in the file and not in the reference, and what that means for the judgement."""
-    found, other = unsimulated_text(judgement.events), judgement.other
-    if judgement.stopped_reduced:
-        if judgement.until is None:
-            return f"judged without {found}; the run as it stands completes"
-        without = f"without that, the run stops: {judgement.stopped_reduced}"
-        return f"judged until {judgement.until:.3g} s, because of {found}; {without}"
-    if other is None:
-        return f"judged without {found}"
-    errors = ", ".join(error_texts(other.error, other.loop_error))
-    if judgement.until is not None:
-        return f"judged until {judgement.until:.3g} s, because of {found}; without that, to the end: {errors}"
-    is_short = other.error.relative > judgement.error.relative
-    short = ", a motion too short to judge" if is_short else ""
-    return f"judged without {found}; until then{short}: {errors}"
 
 
 def chaos_text(scale: MotionScale) -> str:
@@ -232,13 +248,13 @@ def chaos_text(scale: MotionScale) -> str:
     return f"{', '.join(named)}{more}: {growth}"
 
 
-def _by_position(judgement: Judgement, error: RunError) -> bool:
-    """Return True to give an error by positions, False by rotations.
+def _sizes_as(judgement: Judgement, error: RunError) -> str:
+    """Format an error as lengths, angles or both, like the error of the judged run.
 
-    All errors are given like that of the judged run. If that run diverged, an error is given by positions
-    unless the error of positions is a small part of it.
+    If that run diverged, an error is given like the headline of its own run would be.
     """
-    return error.stated_by_position if judgement.stopped else judgement.error.stated_by_position
+    stated = _stated(error if judgement.stopped else judgement.error)
+    return " and ".join(size(error, by_position) for by_position in stated)
 
 
 def _causes(judgement: Judgement) -> list[str]:
@@ -255,9 +271,9 @@ def _causes(judgement: Judgement) -> list[str]:
     listed = [each for each in judgement.causes if 0.0 < errors[each.name] >= MIN_CAUSE * largest]
     large = {each.name for each in listed}
     small = [name for name in errors if name not in large] + [*judgement.harmless]
-    words = [f"{each.name}: {size(each.error, by_position)}" for each in listed]
+    words = [f"{each.name}: {_sizes_as(judgement, each.error)}" for each in listed]
     if (listed or small) and not judgement.is_explained:
-        words.append(f"most of the error is {OF_APPROXIMATIONS if judgement.approximated else 'unexplained'}")
+        words.append(f"the rest is {OF_APPROXIMATIONS if judgement.approximated else 'unexplained'}")
     return words + ([f"little or nothing: {', '.join(small)}"] if small else [])
 
 
@@ -273,7 +289,8 @@ def _stability(mode: Stability) -> Iterator[str]:
             by = f", made by {_elements(mode)}," if mode.elements else ""
             until = f"; steps are stable up to {limit}" if mode.limit < math.inf else ""
             constant = quantity_text(1.0 / mode.rate, SECONDS_AND_MS, digits=2)
-            yield f"the fastest one{by} has a time constant of {constant}{until}"
+            steps = f"{significant(1.0 / (mode.rate * mode.timestep), 2)} of the file's steps"
+            yield f"the fastest mode{by} has a time constant of {constant}: only {steps}{until}"
             yield _body(mode.body)
         return
     if mode.elements:
@@ -314,15 +331,14 @@ def headline(judgement: Judgement) -> str:
     """Format the accuracy and the error of a judged run in a few words, such as "OFF BY 2 mm"."""
     error = judgement.error
     if judgement.stopped:
-        without = " without what acts in the file and not in the reference"
-        return f"DIVERGED{without if judgement.stopped_reduced else ''}"
-    if judgement.stopped_as_it_stands:
-        return "DIVERGED with what acts in the file and not in the reference"
+        return "DIVERGED"
     if not judgement.is_judged:
         return f"{Band.NOT_JUDGED}: {judgement.why_not_judged}"
+    # a comparison that ends with the first element that acts and that the reference does not have
+    until = "" if judgement.until is None else f" until {judgement.until:.3g} s"
     if error.relative < ROUND_OFF:
-        return "ACCURATE, the same as the reference to round-off"
-    word = {Band.ACCURATE: "ACCURATE TO", Band.USABLE: "OFF BY", Band.WRONG: "WRONG BY"}[judgement.band]
+        return f"ACCURATE{until}, the same as the reference to round-off"
+    word = {Band.ACCURATE: "ACCURATE TO", Band.OFF: "OFF BY", Band.WRONG: "WRONG BY"}[judgement.band]
     # the mechanism of each stated error, whose motion the error is a part of
     names: list[str] = []
     if len(judgement.scale.mechanisms) > 1:
@@ -331,14 +347,13 @@ def headline(judgement: Judgement) -> str:
             names.append(f" of the mechanism of {judgement.scale.by_body[body].bodies[0]}")
     shares = [percent(error.relative_by(by_position)) for by_position in _stated(error)]
     if len({*names}) < 2:
-        return (
-            f"{word} {sizes(error)}, {' and '.join(dict.fromkeys(shares))} of the motion{''.join({*names})}"
-        )
+        share = " and ".join(dict.fromkeys(shares))
+        return f"{word} {sizes(error)}, {share} of the motion{''.join({*names})}{until}"
     parts = [
         f"{size(error, by_position)}, {share} of the motion{name}"
         for by_position, share, name in zip(_stated(error), shares, names, strict=True)
     ]
-    return f"{word} {' and '.join(parts)}"
+    return f"{word} {' and '.join(parts)}{until}"
 
 
 def sizes(error: RunError) -> str:
@@ -394,9 +409,9 @@ def _with_largest(error: RunError, by_position: bool) -> str:
     return text if largest == text else f"{text} (largest of all mechanisms {largest})"
 
 
-def _remedy(remedy: MeasuredRemedy, by_position: bool) -> str:
+def _remedy(remedy: MeasuredRemedy, judgement: Judgement) -> str:
     """Format other settings, their error and their run time relative to the settings of the file."""
-    error = f"{size(remedy.error, by_position)} ({percent(remedy.error.relative)})"
+    error = f"{_sizes_as(judgement, remedy.error)} ({percent(remedy.error.relative)})"
     if remedy.error.relative < ROUND_OFF:
         error = "the same as the reference to round-off"
     return f"{remedy.text}: {error}, {cost_text(remedy)}"

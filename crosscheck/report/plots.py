@@ -16,7 +16,7 @@ import numpy as np
 from crosscheck.compare.check import CONSTRAINT_VIOLATION, POSES
 from crosscheck.engines.engine import OTHER_LINE
 from crosscheck.engines.palette import line_of, palette
-from crosscheck.own_run.allowed import OWN_RUN
+from crosscheck.own_run.allowed import OWN_RUN, REDUCED_RUN
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.scalars import Array
 
@@ -91,12 +91,12 @@ def run_errors(
         time: output times (n,), s.
         position: errors of the centers of mass (n,), m.
         rotation: errors of the orientations (n,), rad.
-        name: `OWN_RUN`, or the name of the log.
+        name: `OWN_RUN`, `REDUCED_RUN`, or the name of the log.
 
     Yields:
         Pictures (PNG) with their captions.
     """
-    label, what = (OWN_RUN, "run with your settings") if name == OWN_RUN else (LOG, f"log {name}")
+    label, what = (OWN_RUN, f"run with {name}") if name in (OWN_RUN, REDUCED_RUN) else (LOG, f"log {name}")
     errors = (("error of position, m", position), ("error of orientation, rad", rotation))
     curves = [Curve(quantity, label, np.array(time), np.array(values)) for quantity, values in errors]
     yield from _draw(curves, palette([label]), f"{what}, largest over the bodies")

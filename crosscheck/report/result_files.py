@@ -93,9 +93,15 @@ class ErrorOverTime(BaseModel):
 
 
 class JudgedRun(BaseModel):
-    """The fields that a page needs of the judgement of a run: with the settings of a model file, or a log."""
+    """The fields that a page needs of the judgement of a run: with the settings of a model file, or a log.
+
+    Attributes:
+        error_over_time: errors of the run.
+        without: the run of the file without elements that act and are not simulated; None if there are none.
+    """
 
     error_over_time: ErrorOverTime
+    without: JudgedRun | None = None
 
 
 class CrosscheckFile(ResultFile):

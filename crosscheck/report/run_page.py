@@ -14,7 +14,7 @@ from crosscheck.compare.outcome import Outcome, Verdict
 from crosscheck.compare.result import EngineComparison
 from crosscheck.report.chart import BarChart, Measure, linear_chart, log_chart
 from crosscheck.report.explain import names_to_explain
-from crosscheck.report.own_run import fix_texts
+from crosscheck.report.own_run import fix_texts, without_text
 from crosscheck.report.summary import judged_checks, nearest
 from crosscheck.report.table import seconds
 
@@ -111,8 +111,10 @@ def _steps_of_outcome(result: EngineComparison) -> Iterator[str]:
 
 def _settings_steps(result: EngineComparison) -> Iterator[str]:
     """Yield the first remedy for the error of the file's own settings."""
-    if result.own_run and (fixes := fix_texts(result.own_run)):
-        yield f"To reduce the error of your settings, change them: {fixes[0]}."
+    own_run = result.own_run
+    if own_run and (fixes := fix_texts(own_run.analyzed)):
+        reduced = "" if own_run.analyzed is own_run else f" ({without_text(own_run)})"
+        yield f"To reduce the error of your settings{reduced}, change them: {fixes[0]}."
 
 
 def _coverage_steps(result: EngineComparison) -> Iterator[str]:

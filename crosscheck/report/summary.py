@@ -68,8 +68,8 @@ def judged_runs(result: EngineComparison) -> list[Part]:
         changes = _start_changes(result.mapping, result.scene) if result.mapping else []
         own_run = own_run_lines(result.own_run, excitation, result.limits_of(OWN_RUN), changes)
         if result.logs and result.allowed_errors:
-            own_run.lines.append("  note    --max-error limits the logs, not this run")
-        parts.append(own_run)
+            own_run[0].lines.append("  note    --max-error limits the logs, not this run")
+        parts += own_run
     return parts
 
 

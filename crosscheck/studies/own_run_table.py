@@ -37,7 +37,7 @@ plus a fraction of the motion."""
 DIVERGED = "DIVERGED"
 """Word for a run that MuJoCo stops."""
 
-WORDS = (Band.ACCURATE, Band.USABLE, Band.WRONG, DIVERGED)
+WORDS = (Band.ACCURATE, Band.OFF, Band.WRONG, DIVERGED)
 """Words for runs, in the order of the counts in the table."""
 
 MIN_OPENING, MIN_LOOP_ANGLE = 1e-6, math.radians(1e-3)
@@ -84,10 +84,14 @@ def own_run_result(path: Path, summary: Path, script: Path) -> OwnRunResult | No
         The row; None if the run was not judged.
     """
     own_run: dict[str, Any] | None = json.loads(summary.read_text(encoding="utf-8"))["own_run"]
-    if own_run is None or own_run["band"] == Band.NOT_JUDGED:
+    if own_run is None:
         return None
-    # the judged run omits contacts, limits and friction that act; the run "as it stands" has them
-    stopped = own_run["stopped"] or own_run["stopped_as_it_stands"]
+    without = _without(own_run)
+    if own_run["band"] == Band.NOT_JUDGED and own_run["without"] is not None:
+        own_run = own_run["without"]  # the run without what acts too early for a judgement of the file
+    if own_run["band"] == Band.NOT_JUDGED:
+        return None
+    stopped = own_run["stopped"]
     error = RunError(**own_run["error"])
     remedies = [MeasuredRemedy(**each | {"error": RunError(**each["error"])}) for each in own_run["remedies"]]
     errors = [error, *(remedy.error for remedy in remedies)]
@@ -102,7 +106,7 @@ def own_run_result(path: Path, summary: Path, script: Path) -> OwnRunResult | No
         word=DIVERGED if stopped else Band(own_run["band"]),
         settings=own_run["settings"],
         error=stopped or f"{sizes(error)}, {percent(error.relative)}{opening}",
-        without=_without(own_run),
+        without=without,
         cause=_cause(own_run, by_position),
         remedies=[f"{each.text}: {size(each.error, by_position)}, {cost_text(each)}" for each in remedies],
         repeated="; ".join("diverges" if each is None else _size(each, by_position) for each in repeated),
@@ -145,12 +149,12 @@ def _size(found: Mapping[str, float], by_position: bool) -> str:
 
 
 def _without(own_run: Mapping[str, Any]) -> str:
-    """Format elements that the judged run leaves out, and the chaotic time that the comparison leaves out."""
+    """Format elements that the reference leaves out, and the chaotic time that the comparison leaves out."""
     words = []
     if events := own_run["events"]:
         others = f" and {len(events) - 1} more" if events[1:] else ""
         words.append(f"{events[0]['element']}{others}, from {events[0]['time']:.3g} s on")
-    if own_run["until"] is not None:
+    if own_run["until"]:
         words.append("judged until then")
     ends = [each["until"] for each in own_run["scale"]["mechanisms"] if each["until"] is not None]
     if ends:

@@ -96,13 +96,16 @@ class Forces:
         stiffness, damping = self._linear(element, spring, damper)
         if stiffness == 0.0 and damping == 0.0:
             return
-        what = f"its stiffness {stiffness:g} and damping {damping:g}"
+        if stiffness:
+            what = f"its stiffness {stiffness:g} and damping {damping:g} as a spring"
+        else:
+            what = f"its damping {damping:g} as a damper"
         # hinge or slide
         if number in self._joints.coordinate_keys:
             joint, coordinate = self._joints.coordinate_keys[number]
             rest = float(self._spring_reference(number)[0] - self._data.qpos[qpos_index])
             self._add_spring(JointSpring(joint, stiffness, damping, rest, coordinate))
-            self._report.imported(element, f"{what} as a spring", FORCE if stiffness else "")
+            self._report.imported(element, what, FORCE if stiffness else "")
             return
         # ball, or free joint: three translations (coordinates 0 to 2) and a ball
         joint = self._joints.joint_names[number]
@@ -113,7 +116,7 @@ class Forces:
             qpos_index += 3
         rest_rotation = self._rest_rotation(number, qpos_index)
         self.forces.append(BallSpring(joint, stiffness, damping, rest_rotation))
-        self._report.imported(element, f"{what} as a spring of all its motions", FORCE)
+        self._report.imported(element, f"{what} of all its motions", FORCE)
 
     def _add_spring(self, spring: JointSpring) -> None:
         """Add a spring of a joint coordinate; two springs of the same coordinate become one spring."""

@@ -103,7 +103,9 @@ class Loops:
         # The joint uses the point on the first body for both bodies. The point on the second body differs
         # from it by the rounding of the file, and the bodies stay where the file has them.
         self.joints.append(kind(name, first, second, point_on_first))
-        self._report.imported(self._start.equality(index), f"{kind.kind} joint {name!r}, {HELD_RIGIDLY}")
+        self._report.imported(
+            self._start.equality(index), f"{kind.kind} joint {name!r}, {HELD_RIGIDLY}", is_soft_in_file=True
+        )
 
     def _add_joint(self, index: int) -> None:
         """Add the coupling of an equality of joints, y - y0 = p(x - x0), see MuJoCo's `polycoef`.
@@ -136,7 +138,9 @@ class Loops:
         )
         # the file counts coordinates from qpos0, the scene from the start, where x - x0 is `driver_at_start`
         self.couplings.append(in_file_coordinates.from_zero(driver_at_start))
-        self._report.imported(self._start.equality(index), f"polynomial coupling {name!r}, {HELD_RIGIDLY}")
+        self._report.imported(
+            self._start.equality(index), f"polynomial coupling {name!r}, {HELD_RIGIDLY}", is_soft_in_file=True
+        )
 
     def _couple(self, index: int, follower: Key, driver: Key | None, ratio: float) -> None:
         """Add a gear, follower = ratio * driver; hold the follower if there is no driver or the ratio is 0.
@@ -157,7 +161,7 @@ class Loops:
             gear = Gear(name, driver_joint, follower_joint, ratio, driver_index, follower_index)
             self.couplings.append(gear)
             counterpart = f"gear {name!r} of ratio {ratio:.6g}, {HELD_RIGIDLY}"
-        self._report.imported(self._start.equality(index), counterpart)
+        self._report.imported(self._start.equality(index), counterpart, is_soft_in_file=True)
 
     def _add_tendon(self, index: int) -> None:
         """Add an equality of tendons: a rod for a straight tendon, a coupling for fixed tendons."""
@@ -174,7 +178,9 @@ class Loops:
                 return
             name = self._name(index)
             self.joints.append(Rod(name, *names, point_on_first, point_on_second=point_on_second))
-            self._report.imported(self._start.equality(index), f"rod {name!r}, {HELD_RIGIDLY}")
+            self._report.imported(
+                self._start.equality(index), f"rod {name!r}, {HELD_RIGIDLY}", is_soft_in_file=True
+            )
             return
         # one or two fixed tendons
         weights = fixed_tendon_weights(self._model, tendons[0])
@@ -204,7 +210,7 @@ class Loops:
             joint_number_weight = tuple((*key, weight) for key, weight in terms)
             self.couplings.append(LinearCoupling(name, joint_number_weight))
             counterpart = f"coupling {name!r} of {len(terms)} joint coordinates, {HELD_RIGIDLY}"
-            self._report.imported(self._start.equality(index), counterpart)
+            self._report.imported(self._start.equality(index), counterpart, is_soft_in_file=True)
         else:
             self._leave_out(index, "its weights are zero", moves_nothing=True)
 

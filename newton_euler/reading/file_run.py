@@ -145,12 +145,15 @@ class FileSimulation(ABC, Generic[SettingsT]):
         are_assumed: True if the settings are usual ones, since the file has none and the user gives none.
         approximated: dry friction and limits of the file that the scene has as forces, such as "limits of
             joint 'knee'". They act in all runs of the file.
+        has_all_elements: True if runs have all elements of the file, also those that the scene lacks; False
+            if runs never have these, such as those of a loop without limits and dry friction.
         max_evaluations: largest number of evaluations of the equations of motion in a run, with the file's
             time step or a smaller one; lower for an engine whose time loop runs in Python.
     """
 
     are_assumed: bool = False
     approximated: Sequence[str] = ()
+    has_all_elements: bool = True
     max_evaluations: float = math.inf
     engine: str
     scene: Scene

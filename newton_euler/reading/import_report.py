@@ -52,6 +52,7 @@ class ImportedElement:
         seen: observation in a run, such as "passed from 0.3 s on"; "" before a run.
         is_off: True if the file itself switches the element off.
         is_understood: False for an element that no rule of the reader knows.
+        is_soft_in_file: True for a constraint that is rigid in the scene, and soft in the file's own engine.
         since: s, the first time of a run at which the element acts; None if inactive, and before a run.
         examined: False if neither the file nor a run shows whether the element acts.
     """
@@ -67,6 +68,7 @@ class ImportedElement:
     examined: bool = True
     is_off: bool = False
     is_understood: bool = True
+    is_soft_in_file: bool = False
 
     @property
     def is_unsimulated(self) -> bool:
@@ -190,14 +192,18 @@ class ImportReport:
         how: str,
         became: str = "",
         moves_nothing: bool = False,
+        is_soft_in_file: bool = False,
     ) -> None:
         """Add an element that is imported exactly.
 
         Args:
-            element, how, became: see `ImportedElement`.
+            element, how, became, is_soft_in_file: see `ImportedElement`.
             moves_nothing: True if the element moves nothing as the file has it, such as an idle motor.
         """
-        self.entries.append(ImportedElement(element, "exactly", how, became, moves_nothing=moves_nothing))
+        entry = ImportedElement(
+            element, "exactly", how, became, moves_nothing=moves_nothing, is_soft_in_file=is_soft_in_file
+        )
+        self.entries.append(entry)
 
     def approximated(self, element: str, how: str, topic: str, limits: Sequence[Bounds] = ()) -> None:
         """Add one topic of an element, such as its dry friction, that a similar force approximates.
@@ -312,6 +318,12 @@ class ImportReport:
         """Return the entries with one fate."""
         return [entry for entry in self.entries if entry.fate == fate]
 
+    def _single_name(self, fate: Fate) -> str:
+        """Return the element with a fate that can act, and its topics, such as "joint 'a': limits"."""
+        entries = [entry for entry in self.of(fate) if not entry.moves_nothing]
+        topics = dict.fromkeys(filter(None, (entry.topic for entry in entries)))
+        return ": ".join(filter(None, [entries[0].element, ", ".join(topics)]))
+
     def counts(self) -> str:
         """Describe how many elements are approximated, inactive, left out, or switched off.
 
@@ -326,18 +338,19 @@ class ImportReport:
         found: list[str] = []
         for fate, count in sorted(Counter(worst.values()).items(), key=lambda item: FATES.index(item[0])):
             subject = "element is" if count == 1 else "elements are"  # only in the first part of the text
-            found.append(f"{count} {'' if found else subject + ' '}{fate}")
+            named = f" ({self._single_name(fate)})" if count == 1 else ""
+            found.append(f"{count} {'' if found else subject + ' '}{fate}{named}")
         # Equalities, actuators and tendons left out as a whole, and elements that no rule knows
         whole = {
             entry.element for entry in self.of("left out") if not entry.moves_nothing and not entry.topic
         }
         acting = Counter(element.split()[0] for element in whole)
-        named = [
+        kinds = [
             f"{acting[one]} {one if acting[one] == 1 else many}" for one, many in ALWAYS_ACTING if acting[one]
         ]
         unknown = len({entry.element for entry in self.entries if not entry.is_understood})
-        named += [f"{unknown} not understood"] if unknown else []
-        counted = ", ".join(found) + (f" ({', '.join(named)})" if named else "")
+        kinds += [f"{unknown} not understood"] if unknown else []
+        counted = ", ".join(found) + (f" ({', '.join(kinds)})" if kinds else "")
         off = {entry.element for entry in self.entries if entry.is_off}
         idle = f"{len(off)} switched off by the file itself" if off else ""
         return ", ".join(filter(None, [counted, idle]))

@@ -115,7 +115,7 @@ def own_runs() -> Figure:
     """Plot the errors of runs of public models with their settings, and what the remedies change."""
     table = page_table("own_runs.md", "model", "accuracy")
     alone = page_table("own_runs.md", "model", "switched off in the run").column("error by the engine alone")
-    colors = {"ACCURATE": GREEN, "USABLE": ORANGE, "WRONG": VERMILION}
+    colors = {"ACCURATE": GREEN, "OFF": ORANGE, "WRONG": VERMILION}
     errors, factors = [], []
     repository = ""
     for (model, word, error, _, _, remedies), repeated in zip(table.rows, alone, strict=True):

@@ -103,6 +103,8 @@ def fate(entries: list[Any]) -> str | Cell:
         return Cell("not simulated", "fails")
     if any(entry.fate == "approximated" for entry in entries):
         return "approximated"
+    if any(entry.is_soft_in_file for entry in entries):
+        return "rigid"
     if any(entry.fate == "exactly" for entry in entries):
         return "exactly"
     return "moves nothing"

@@ -100,6 +100,8 @@ def main(path: str, summary: str) -> None:
     """Print the errors of the judged run and of its remedies."""
     with open(summary, encoding="utf-8") as file:
         own_run = json.load(file)["own_run"]
+    if own_run["without"] and own_run["band"] == "NOT JUDGED":
+        own_run = own_run["without"]  # the run without elements that act from the start on
     inputs, until = own_run["run_inputs"], own_run["until"]
     # `until` is the time at which the comparison ends; that of a chaotic mechanism may end earlier
     times = [now for now in inputs["output_times"] if until is None or now < until]

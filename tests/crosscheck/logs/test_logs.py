@@ -816,7 +816,7 @@ def test_inputs_that_are_logged_after_their_step_name_the_option(tmp_path):
 
 def test_a_usable_log_has_a_note_on_inputs_after_their_step(tmp_path):
     found = motor_log(tmp_path, 1, shift=1, offset=0.8)  # an error of 0.4 %
-    assert found.band is Band.USABLE
+    assert found.band is Band.OFF
     (line,) = (line for line in log_lines(found).lines if "inputs=before" in line)
     assert line.startswith("  note    with --log-set inputs=before, the error is")
     assert found.other_inputs.error.relative < 1e-6

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import mujoco
@@ -214,7 +213,8 @@ def test_a_run_that_diverges_by_what_the_reference_lacks_exceeds_every_error(tmp
         mujoco.mj_step(model, data, 100)
     assert data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number  # by MuJoCo alone
     verdict = crosscheck.check(str(path), ENGINES, excitation="off", duration=0.2)
-    assert verdict.own_run.stopped_as_it_stands
+    assert verdict.own_run.stopped
+    assert not verdict.own_run.without.stopped
     assert verdict.own_run.band is Band.WRONG
     with pytest.raises(AssertionError):
         verdict.assert_accurate(0.5, allow_reduced=True)
@@ -242,7 +242,7 @@ def test_a_limit_needs_a_loop_constraint_of_its_kind(angles):
     limited, lacking = (loops.angle, loops.opening) if angles == [True] else (loops.opening, loops.angle)
     assert (limited, lacking) == (0.5, 0.0)
     kinds = [ErrorKind.OPENING if angles == [True] else ErrorKind.LOOP_ANGLE]
-    assert list(without_loops(SimpleNamespace(loop_error=loops))) == kinds
+    assert list(without_loops(loops)) == kinds
 
 
 @pytest.mark.slow

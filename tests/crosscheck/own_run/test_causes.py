@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 from mjcf_models import FOUR_BAR_BODIES
+from own_runs import judged_run
 
 from crosscheck.loading.load import load_scene, with_excitation
 from crosscheck.own_run.errors import Band
@@ -70,10 +71,7 @@ CASES = {
 def judged(tmp_path, text):
     path = tmp_path / "model.xml"
     path.write_text(text)
-    _, report = load_scene(str(path), with_excitation(str(path), {}))
-    assert report is not None
-    assert report.simulation is not None
-    return judge(report.simulation)
+    return judged_run(*load_scene(str(path), with_excitation(str(path), {})))
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -143,7 +141,7 @@ def test_an_error_without_a_tested_cause_is_unexplained(sleeping, monkeypatch):
     monkeypatch.setattr(sleeping, "causes", lambda: iter(causes))
     found = judge(sleeping)
     assert not found.is_explained
-    (line,) = (line for line in own_run_lines(found).lines if line.split()[0] == "cause")
+    (line,) = (line for line in own_run_lines(found)[0].lines if line.split()[0] == "cause")
     assert "unexplained" in line
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
+
 import mujoco
 import numpy as np
 import pytest
+from own_runs import judged_run
 
 from crosscheck.loading.load import load_scene
 from crosscheck.own_run.horizon import MAX_ERROR_GROWTH
@@ -36,10 +39,7 @@ TOP = """<mujoco><option timestep="{step}" integrator="{integrator}" gravity="0 
 def judged(tmp_path, text, **values):
     path = tmp_path / "model.xml"
     path.write_text(text.format(step=STEP, **values))
-    _, report = load_scene(str(path), {"duration": str(DURATION)})
-    assert report is not None
-    assert report.simulation is not None
-    return judge(report.simulation)
+    return judged_run(*load_scene(str(path), {"duration": str(DURATION)}))
 
 
 def semi_implicit(x, v, stiffness, damping, mass):
@@ -161,7 +161,7 @@ def test_a_contact_ends_the_comparison(tmp_path):
     last = found.error.position_at[1]  # time of the last compared output
     assert last < found.until
     assert found.error.relative == pytest.approx(STEP / last, rel=PERCENT)
-    assert found.other.error.relative == pytest.approx(STEP / found.reference.time[-1], rel=PERCENT)
+    assert found.without.error.relative == pytest.approx(STEP / found.without.reference.time[-1], rel=PERCENT)
 
 
 def test_a_method_with_long_steps_is_compared_at_equal_times(tmp_path):
@@ -215,7 +215,10 @@ def test_inputs_are_not_delayed(tmp_path):
     path = tmp_path / "driven.xml"
     path.write_text(DRIVEN.format(step=STEP, integrator="RK4"))
     _, report = load_scene(str(path), {"duration": str(DURATION), "excitation": "on"})
-    assert any(line.startswith("excited: 1 actuator") for line in report.start)
+    pattern = r"excited: 1 actuator .* amplitudes up to (\S+) \((\S+) % of ctrlrange\)"
+    (line,) = (line for line in report.start if line.startswith("excited: "))
+    amplitude, percent = map(float, re.match(pattern, line).groups())
+    assert percent == pytest.approx(100.0 * amplitude, rel=0.05)  # of a range of 1, with two digits
     assert judge(report.simulation).error.relative < 1e-4
 
 

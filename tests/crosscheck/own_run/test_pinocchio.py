@@ -13,7 +13,9 @@ from crosscheck.library import load
 from crosscheck.loading.load import load_scene, with_excitation
 from crosscheck.own_run.errors import Band
 from crosscheck.own_run.judge import judge
+from crosscheck.report.own_run import own_run_lines
 from newton_euler.errors import NewtonEulerError
+from newton_euler.reading.file_run import Event
 from urdf.file_run import closing_gains
 from urdf.run_settings import EXPLICIT, RK4, SEMI_IMPLICIT
 from urdf.write import to_loops, to_urdf
@@ -35,6 +37,18 @@ def judged(path, options=(), excited=False):
     assert report is not None
     assert report.simulation is not None
     return judge(report.simulation)
+
+
+def test_a_loop_without_limits_is_judged_to_the_end(tmp_path):
+    """Neither the loop nor the reference has the limit, so that both are the same model also after it."""
+    text = LINK.format(arm=0.3, kind="revolute", axis="0 1 0", damping=0.1).replace('"-100"', '"-0.05"')
+    event = Event(0.1, "limits of joint 'joint'")
+    _, report = load_scene(str(written(tmp_path, text)), {"duration": str(DURATION)})
+    found = judge(report.simulation, [event])
+    assert (found.events, found.until, found.without) == ((event,), None, None)
+    assert found.error == judged(written(tmp_path, text)).error
+    (note,) = (line for line in own_run_lines(found)[0].lines if line.startswith("  note"))
+    assert note.endswith("nor does your loop")
 
 
 def written(tmp_path, text):

@@ -11,20 +11,25 @@ import numpy as np
 import pytest
 from command_line import run, verdict_of
 from mjcf_models import FOUR_BAR_BODIES
+from own_runs import acting_in
 
 import crosscheck
 import newton_euler
 from crosscheck.compare.outcome import ExitStatus
 from crosscheck.loading.load import load_scene
 from crosscheck.own_run import tune as tuning
+from crosscheck.own_run.allowed import AllowedError, ErrorKind
 from crosscheck.own_run.judge import judge
 from crosscheck.own_run.tune import search_settings
+from crosscheck.report.own_run import own_run_lines
+from crosscheck.report.tuning import report as search_report
 from crosscheck.support.errors import CrosscheckError
 from mjcf.reading.softness import equalities_with_own_softness
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.euler_parameters import angle_between
 
 TARGET = 1e-3
+
 OPTIONS = {"duration": "0.5", "output_period": "0.01"}
 
 FOUR_BAR = f"""<mujoco model="loop"><option timestep="0.0025"/>
@@ -81,6 +86,11 @@ def path(request, tmp_path):
     return found
 
 
+def relative(largest):
+    """A largest error relative to the motion."""
+    return AllowedError(ErrorKind.RELATIVE, largest)
+
+
 def loaded(path, **options):
     scene, report = load_scene(str(path), OPTIONS | options)
     assert report is not None
@@ -130,7 +140,7 @@ def with_outputs_after(scene, step):
 
 def test_found_settings_reach_the_error_when_pasted(path):
     scene, simulation = loaded(path)
-    found = search_settings(simulation, TARGET)
+    found = search_settings(simulation, relative(TARGET))
     assert found.own.error.relative > TARGET
     assert found.found is not None
     text = path.read_text()
@@ -149,7 +159,7 @@ def test_found_settings_reach_the_error_when_pasted(path):
 @pytest.mark.parametrize("target", [1e-2, 1e-3, 1e-4])
 def test_no_settings_of_a_grid_cost_less_than_half(path, target):
     scene, simulation = loaded(path)
-    found = search_settings(simulation, target)
+    found = search_settings(simulation, relative(target))
     assert found.found is not None
     # steps of up to a tenth of the run
     for steps in (0.2, 0.25, 0.5, *range(1, 400)):
@@ -167,7 +177,7 @@ def test_steps_may_be_longer_than_the_time_between_outputs(tmp_path):
     path = tmp_path / "model.xml"
     path.write_text(PENDULUM)
     scene, simulation = loaded(path)
-    found = search_settings(simulation, TARGET).found
+    found = search_settings(simulation, relative(TARGET)).found
     assert found.changes["integrator"] == "RK4"
     assert scene.output_period < float(found.changes["timestep"]) <= scene.duration / tuning.MIN_OUTPUTS
 
@@ -178,7 +188,7 @@ def test_a_chaotic_motion_has_ten_compared_outputs_too(tmp_path, monkeypatch):
     path.write_text(PENDULUM)
     scene, simulation = loaded(path)
     monkeypatch.setattr("crosscheck.own_run.comparison.comparable_until", lambda *_: (0.055,))
-    search = search_settings(simulation, TARGET)
+    search = search_settings(simulation, relative(TARGET))
     assert search.scale.mechanisms[0].until == 0.055
     assert float(search.found.changes["timestep"]) <= scene.output_period
 
@@ -212,7 +222,7 @@ def test_the_settings_of_a_urdf_are_found_and_can_be_given(tmp_path):
         "</joint></robot>"
     )
     _, simulation = loaded(path)
-    found = search_settings(simulation, 1e-6).found
+    found = search_settings(simulation, relative(1e-6)).found
     assert found is not None
     (tmp_path / "own.yaml").write_text(found.fragment)
     _, again = loaded(path, own_run=str(tmp_path / "own.yaml"))
@@ -226,7 +236,7 @@ def test_run_times_are_multiples_of_evaluations_if_the_own_run_diverges(tmp_path
     path = tmp_path / "model.xml"
     path.write_text(STIFF)
     _, simulation = loaded(path)
-    search = search_settings(simulation, TARGET)
+    search = search_settings(simulation, relative(TARGET))
     assert "QACC" in search.own.stopped
     assert search.tradeoff
     for tried in search.tradeoff:
@@ -280,14 +290,18 @@ def test_models_in_memory(read):
         (
             GYROSCOPE,
             {"error": 0.0},
-            "error is 0.0; needed: a number between 0 and 1, a fraction of the motion",
+            "error 0.0: needed: a number above 0",
         ),
         (
             GYROSCOPE,
             {"error": 1.0},
-            "error is 1.0; needed: a number between 0 and 1, a fraction of the motion",
+            "error 1.0: needed: a fraction of the motion below 1, such as 0.1%",
         ),
-        (GYROSCOPE, {"error": "1mm"}, "crosscheck.tune: error is '1mm'; needed: a finite number"),
+        (
+            GYROSCOPE,
+            {"error": "1mm"},
+            "error 1mm: no unit 'mm' of relative; choose from %; for a length",
+        ),
         (GYROSCOPE, {"nix": 1}, "no option 'nix'; choose from: duration, output_period"),
     ],
 )
@@ -342,3 +356,70 @@ def test_what_acts_and_is_not_simulated_is_left_out_of_all_runs(tmp_path, capsys
     # RK4 at 0.5 ms is accurate, but for the spring; a few runs find a longer step
     assert found["own"]["error"]["relative_rotation"] < 1e-6
     assert found["runs"] < 30
+
+
+def test_an_error_can_be_a_length(tmp_path, capsys):
+    path = tmp_path / "model.xml"
+    path.write_text(FOUR_BAR)
+    limits = [word for key, value in OPTIONS.items() for word in ("--set", f"{key}={value}")]
+    arguments = ["tune", path, *limits, "--error", "position=1mm", "--output", tmp_path / "out"]
+    status, text, _ = run(capsys, *arguments)
+    assert status == ExitStatus.AGREE
+    found = json.loads((tmp_path / "out" / "tune.json").read_text())
+    assert found["target"] == {"kind": "position", "largest": 1e-3}
+    assert found["found"]["error"]["largest_position"] <= 1e-3
+    # the cheaper settings in the table do not reach it
+    assert all(each["error"]["largest_position"] > 1e-3 for each in found["tradeoff"][:-1])
+    assert " for an error of 1 mm (position)" in text
+    # the settings of the file are in the table twice, and have one run time
+    assert {each["run_time"] for each in found["tradeoff"] if not each["changes"]} <= {1.0}
+
+
+def test_an_error_needs_a_loop_of_its_kind(tmp_path):
+    path = tmp_path / "model.xml"
+    path.write_text(PENDULUM)
+    _, simulation = loaded(path)
+    with pytest.raises(CrosscheckError, match="no loops"):
+        search_settings(simulation, AllowedError(ErrorKind.OPENING, 1e-3))
+
+
+def test_the_search_is_of_the_file_as_it_stands_until_a_limit_acts(tmp_path):
+    path = tmp_path / "model.xml"
+    path.write_text(PENDULUM.replace('name="hinge" axis', 'name="hinge" range="-60 80" limited="true" axis'))
+    scene, report = load_scene(str(path), OPTIONS)
+    acting = acting_in(scene, report)
+    search = search_settings(report.simulation, relative(TARGET), acting)
+    assert [event.element for event in search.events] == ["limits of joint 'hinge'"]
+    assert search.until == acting[0].time < scene.duration
+    # the judgement of the file has the same error
+    assert search.own.error == judge(report.simulation, acting).error
+    assert search_report("model", search).verdict.startswith(f"REACHED until {search.until:.3g} s: ")
+
+
+STOPPED = """<mujoco model="block"><option timestep="0.002" gravity="0 0 0"/><worldbody><body name="block">
+  <joint name="rail" type="slide" axis="1 0 0" range="-0.1 0.1"/>
+  <geom size="0.1" mass="3" contype="0"/></body></worldbody>
+  <keyframe><key name="go" qvel="1"/></keyframe></mujoco>"""
+"""A block that hits a limit, whose stop as a force differs from MuJoCo's constraint by millimeters."""
+
+
+def test_settings_that_cannot_reach_the_error_are_given_up_with_the_reason(tmp_path):
+    path = tmp_path / "model.xml"
+    path.write_text(STOPPED)
+    scene, report = load_scene(str(path), {"duration": "0.15", "limits": "compliant", "excitation": "off"})
+    assert acting_in(scene, report) == []
+    search = search_settings(report.simulation, relative(TARGET))
+    assert (search.found, search.has_converged) == (None, True)
+    assert search.runs < 100
+    text = search_report("block", search).verdict
+    reason = (
+        "smaller steps do not reduce it, because limits of joint 'rail' as forces differ from constraints"
+    )
+    assert text.endswith(reason)
+    # the judgement has no settings either, and the smallest error that it found
+    judgement = judge(report.simulation)
+    assert judgement.remedies == ()
+    best = min(each.error.relative for each in search.tradeoff)
+    assert judgement.smallest.relative == pytest.approx(best, rel=0.2)
+    (fix,) = (line for line in own_run_lines(judgement)[0].lines if line.split()[0] == "fix")
+    assert "none: no settings that were tried halve the error" in fix

@@ -8,9 +8,10 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from own_runs import judged_run
 
 from crosscheck.loading.load import load_scene
-from crosscheck.own_run.allowed import ErrorKind
+from crosscheck.own_run.allowed import AllowedError, ErrorKind
 from crosscheck.own_run.comparison import MIN_OUTPUTS, Comparison
 from crosscheck.own_run.errors import Band, run_error
 from crosscheck.own_run.judge import horizons, judge, measure_error
@@ -31,9 +32,22 @@ def simulation_of(tmp_path, text, **options):
     return report.simulation
 
 
+def relative(largest):
+    return AllowedError(ErrorKind.RELATIVE, largest)
+
+
+def judged(tmp_path, text, **options):
+    path = tmp_path / "model.xml"
+    path.write_text(text)
+    return judged_run(
+        *load_scene(str(path), {"excitation": "off", **{k: str(v) for k, v in options.items()}})
+    )
+
+
 def line_of(judgement, keyword):
     """The lines of a report that begin with a keyword, as one text."""
-    return " ".join(line for line in own_run_lines(judgement).lines if line.split()[0] == keyword)
+    lines = [line for part in own_run_lines(judgement) for line in part.lines]
+    return " ".join(line for line in lines if line.split()[0] == keyword)
 
 
 # two links that a limit holds; without the limit they spin faster and faster, until the time step is too long
@@ -67,40 +81,62 @@ def mujoco_alone(text, step, times, integrator=None, limits=True):
 
 def test_a_run_that_completes_does_not_diverge_because_of_the_run_without_its_limits(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings into a file there
-    found = judge(simulation_of(tmp_path, SPUN, key="k", duration=0.5))
+    event = Event(0.0249, "limits of joint 'j1'")
+    found = judge(simulation_of(tmp_path, SPUN, key="k", duration=0.5, output_period=0.002), [event])
     assert not mujoco_alone(SPUN, 0.002, [0.5])[1]
     assert mujoco_alone(SPUN, 0.002, [0.5], limits=False)[1]
-    assert found.stopped == found.stopped_as_it_stands == ""
-    assert "QACC" in found.stopped_reduced
-    assert found.band is Band.WRONG
-    assert found.until == pytest.approx(0.024, abs=0.002)
-    times = found.reference.time[found.reference.time < found.until - 1e-9]
+    assert (found.stopped, found.band) == ("", Band.WRONG)
+    assert "QACC" in found.without.stopped
+    times = found.run.time
+    assert times[-1] == pytest.approx(0.024), "the last output before the event"
     run, _ = mujoco_alone(SPUN, 0.002, times)
     exact, _ = mujoco_alone(SPUN, 1e-5, times, mujoco.mjtIntegrator.mjINT_RK4, limits=False)
     assert found.error.position == pytest.approx(np.max(np.linalg.norm(run - exact, axis=2)), rel=PERCENT)
     assert found.causes, "measured until the event"
-    assert "WRONG BY" in headline(found)
-    assert "without that, the run stops: Nan, Inf" in line_of(found, "note")
+    first, second = own_run_lines(found)
+    assert first.lines[0].startswith("your settings  WRONG BY")
+    assert first.lines[0].endswith(f"until {found.until:.3g} s")
+    assert second.lines[0] == "without limits of joint 'j1'  DIVERGED"
+    assert ErrorKind.RELATIVE.of(found) == found.error.relative, "the run that diverges is not the user's"
 
 
-@pytest.mark.parametrize(("limits", "since"), [("-20 0", 0.002), ("-20 -1", 0.0)])
-def test_a_run_that_diverges_only_without_a_limit_that_acts_from_the_start_on_names_that(
-    tmp_path, monkeypatch, limits, since
-):
-    """There is no motion before the limit that could be judged instead."""
+def test_a_run_with_a_limit_that_acts_from_the_start_on_is_not_judged(tmp_path, monkeypatch):
+    """There is no motion before the limit that could be judged."""
+    limits = "-20 0"
     monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings into a file there
     text = SPUN.replace('range="-20 20"', f'range="{limits}"')
-    found = judge(simulation_of(tmp_path, text, key="k", duration=0.5))
+    event = Event(0.001, "limits of joint 'j1'")
+    found = judge(simulation_of(tmp_path, text, key="k", duration=0.5), [event])
     assert not mujoco_alone(text, 0.002, [0.5])[1]
     assert mujoco_alone(text, 0.002, [0.5], limits=False)[1]
-    assert found.events == (Event(since, "limits of joint 'j1'"),)
-    assert (found.until, found.stopped_as_it_stands) == (None, "")
-    assert found.stopped == found.stopped_reduced != ""
-    assert (found.band, ErrorKind.RELATIVE.of(found)) == (Band.WRONG, math.inf)
-    assert headline(found) == "DIVERGED without what acts in the file and not in the reference"
+    assert [event.element for event in found.events] == ["limits of joint 'j1'"]
+    assert (found.until, found.stopped, found.band) == (0.0, "", Band.NOT_JUDGED)
+    assert found.without.stopped
+    assert found.judged == ()
+    assert headline(found).startswith("NOT JUDGED: limits of joint 'j1' act from")
+    assert "--set limits=compliant" in headline(found)
+
+
+def test_a_limit_that_only_the_inaccurate_run_passes_is_a_part_of_its_error(tmp_path):
+    """The reference of a pendulum turns back 0.2 degrees before the limit; Euler's method passes it."""
+    text = """<mujoco><option timestep="0.02"/><worldbody><body name="bar" euler="0 40 0">
+      <joint name="hinge" axis="0 1 0" range="-81.75 80" limited="true"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.5" size="0.01" mass="0.4" contype="0"/></body></worldbody>
+      <keyframe><key name="k" qvel="-1"/></keyframe></mujoco>"""
+    found = judged(tmp_path, text, key="k", duration=1.0)
+    assert (found.events, found.until, found.without) == ((), None, None)
+    (event,) = found.only_in_run
+    assert event.element == "limits of joint 'hinge'"
+    # by hand: the run of the file as it stands, and without its limit
+    run, _ = mujoco_alone(text, 0.02, found.run.time)
+    free, _ = mujoco_alone(text, 0.02, found.run.time, limits=False)
+    exact, _ = mujoco_alone(text, 1e-5, found.run.time, mujoco.mjtIntegrator.mjINT_RK4)
+    error, without = (np.max(np.linalg.norm(each - exact, axis=2)) for each in (run, free))
+    assert found.error.position == pytest.approx(error, rel=PERCENT)
+    assert abs(error - without) > 2.0 * PERCENT * error, "the limit makes a difference"
     note = line_of(found, "note")
-    assert "judged without limits of joint 'j1': they act from" in note
-    assert note.endswith("the run as it stands completes")
+    assert "limits of joint 'hinge' act from" in note
+    assert "in this run only" in note
 
 
 # an oscillator beside a double pendulum, which is chaotic
@@ -145,17 +181,17 @@ BOX = """<mujoco><option timestep="0.002"/><worldbody><geom type="plane" size="1
 def test_a_motion_that_is_too_short_before_a_contact_is_not_judged(tmp_path):
     """Semi-implicit Euler falls g h t/2 too far: h/t of the motion, a large part of a short one."""
     step, duration = 0.002, 1.0
-    found = judge(simulation_of(tmp_path, BOX.format(height=0.101), duration=duration))
-    assert found.until is None
-    assert found.error.position == pytest.approx(0.5 * G * step * duration, rel=PERCENT)
-    assert found.band is Band.USABLE
-    _, last = found.other.error.position_at
-    # the floor of the motion: 1 % of the distance between the outermost points of a box, whose mass has a
-    # root mean square distance of 0.1 m from its center
-    assert found.other.error.relative_position == pytest.approx(0.5 * G * step * last / 2e-3, rel=PERCENT)
-    assert found.other.error.relative > found.error.relative
-    assert ErrorKind.ENERGY.of(found) == found.error.energy < found.other.error.energy
-    assert "until then, a motion too short to judge: position" in line_of(found, "note")
+    found = judged(tmp_path, BOX.format(height=0.101), duration=duration)
+    assert (found.until, found.band) == (0.0, Band.NOT_JUDGED)
+    assert headline(found).startswith("NOT JUDGED: contact of 'world' and 'box' acts from 0.01")
+    # the run without the floor
+    reduced = found.without
+    assert (reduced.until, reduced.band) == (None, Band.OFF)
+    assert reduced.error.position == pytest.approx(0.5 * G * step * duration, rel=PERCENT)
+    assert ErrorKind.ENERGY.of(found) == reduced.error.energy
+    assert reduced.causes
+    assert (found.causes, found.remedies) == ((), ())
+    assert own_run_lines(found)[1].lines[0].startswith("without contact of 'world' and 'box'  OFF BY 9.8")
 
 
 def test_contacts_of_a_run_and_of_the_reference_are_one_element(tmp_path):
@@ -163,7 +199,8 @@ def test_contacts_of_a_run_and_of_the_reference_are_one_element(tmp_path):
     found = judge(simulation, [Event(0.13, "contacts")])
     assert found.events == (Event(0.13, "contact of 'world' and 'box'"),)
     assert "contact of 'world' and 'box': it acts from 0.13 s on" in line_of(found, "note")
-    limits = judge(simulation_of(tmp_path, SPUN, key="k", duration=0.1))
+    event = Event(0.0249, "limits of joint 'j1'")
+    limits = judge(simulation_of(tmp_path, SPUN, key="k", duration=0.1, output_period=0.002), [event])
     assert "limits of joint 'j1': they act from" in line_of(limits, "note")
 
 
@@ -199,7 +236,11 @@ def test_the_smallest_scale_is_that_of_the_whole_mechanism(tmp_path):
     assert chain.size == pytest.approx(1.0, rel=1e-9)
     assert chain.length_scale == pytest.approx(0.01, rel=1e-9)
     assert line_of(found, "run").endswith("nothing moves")
-    assert headline(found) == "ACCURATE, the same as the reference to round-off"
+    # a run that shows nothing is not accurate
+    assert (found.band, found.judged) == (Band.NOT_JUDGED, ())
+    assert headline(found).startswith("NOT JUDGED: nothing moves")
+    with pytest.raises(CrosscheckError, match="nothing moves"):
+        search_settings(simulation_of(tmp_path, CHAIN, duration=0.2), relative(1e-3))
 
 
 SLOW = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint axis="0 1 0"/>
@@ -244,7 +285,7 @@ LINKAGE = """<mujoco><option timestep="0.002"/><default><joint axis="0 1 0" damp
 
 @pytest.mark.slow
 def test_loop_errors_are_those_of_the_judged_window(tmp_path):
-    found = judge(simulation_of(tmp_path, LINKAGE, key="go", duration=0.3, output_period=0.002))
+    found = judged(tmp_path, LINKAGE, key="go", duration=0.3, output_period=0.002)
     assert found.until is not None, "a limit acts after more than ten outputs"
     # by hand, until the limit and without it to the end
     model = mujoco.MjModel.from_xml_string(LINKAGE)
@@ -252,15 +293,22 @@ def test_loop_errors_are_those_of_the_judged_window(tmp_path):
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     openings = []
-    for now in found.run.time:
+    for now in found.without.run.time:
         mujoco.mj_step(model, data, round((now - data.time) / 0.002))
         mujoco.mj_kinematics(model, data)
         openings.append(np.linalg.norm(data.site("one").xpos - data.site("two").xpos))
-    until = int(np.searchsorted(found.run.time, found.until))
+    until = int(np.searchsorted(found.without.run.time, found.until))
     assert found.loop_error.opening == pytest.approx(max(openings[:until]), rel=PERCENT)
-    assert found.other.loop_error.opening == pytest.approx(max(openings), rel=PERCENT)
-    assert ErrorKind.OPENING.of(found) == found.other.loop_error.opening > found.loop_error.opening
-    assert "without that, to the end: position " in line_of(found, "note")
+    assert found.without.loop_error.opening == pytest.approx(max(openings), rel=PERCENT)
+    assert ErrorKind.OPENING.of(found) == found.without.loop_error.opening > found.loop_error.opening
+    first, second = own_run_lines(found)
+    assert first.lines[0].endswith(f"until {found.until:.3g} s")
+    assert second.lines[0].startswith("without limits of joint 'pivot'  ")
+    # JSON, plots and the ghost end with the comparison
+    summary = found.summary()
+    assert summary["error_over_time"]["time"] == found.run.time.tolist() == found.reference.time.tolist()
+    assert summary["error_over_time"]["time"][-1] < found.until
+    assert summary["without"]["relative"] == found.without.error.relative
 
 
 # a pendulum on a ball joint with a second link, which is chaotic from about 2 s on
@@ -302,7 +350,7 @@ def test_a_motion_that_is_chaotic_within_a_time_step_is_not_judged(tmp_path, mon
     assert (found.causes, found.remedies) == ((), ())
     assert headline(found).startswith("NOT JUDGED: the motion is chaotic or unstable before its first output")
     with pytest.raises(CrosscheckError, match=r"not judged: the motion is chaotic .* at 0\.001 s"):
-        search_settings(simulation, 1e-3)
+        search_settings(simulation, relative(1e-3))
     with pytest.raises(CrosscheckError, match="not judged"):
         measure_error(simulation, 1e-9, (0.001,))
 

@@ -21,6 +21,7 @@ from crosscheck.loading.load import load_scene
 from crosscheck.own_run.allowed import ErrorKind
 from crosscheck.own_run.errors import Band
 from crosscheck.report.explain import TOPICS, explain, explanation_markdown, read_topic
+from crosscheck.report.line_name import LineName
 from crosscheck.report.run import notes, verdict_limits
 from crosscheck.studies.conformance.check import Result
 from crosscheck.support.errors import CrosscheckError
@@ -36,6 +37,7 @@ KINDS = {
     "verdicts": {each.value for each in Outcome},
     "statuses": {f"exit status {each}" for each in ExitStatus},
     "notes": {each.value for each in Note},
+    "lines": {each.value for each in LineName},
     "accuracy": {each.value for each in Band},
     "own_run_causes": {each.value for each in CauseName},
     "errors": {each.value for each in ErrorKind},
@@ -47,6 +49,9 @@ KINDS = {
     "conformance": {each.value for each in Result},
 }
 """Kinds by topic of the explanations; those of checks are found in a comparison."""
+
+LEVEL_ROWS = [level.partition(" and ")[0] for level in LEVELS]
+"""Names of levels in the table."""
 
 EVERYTHING = """
 <mujoco><option timestep="0.001"/>
@@ -108,6 +113,29 @@ def test_each_note_begins_with_words_that_are_explained(tmp_path):
     assert {Note.INACTIVE, Note.FILE, Note.NOT_UNIQUE, Note.START} <= begin
     unknown = [line for line in lines if not line.startswith((*Note, *found.mapping.start))]
     assert unknown == []
+
+
+def test_each_line_of_the_output_begins_with_a_name_that_is_explained(capsys, monkeypatch, tmp_path):
+    """A limit acts, so that the output has the second judgement; rows of tables begin with other names."""
+    path = tmp_path / "everything.xml"
+    path.write_text(EVERYTHING.replace("-40 40", "-1 40"))
+    monkeypatch.setenv("COLUMNS", "1000")  # no line is wrapped
+    _, out, _ = run(capsys, "run", path, "--engines", "newton_euler,mujoco", "--output", tmp_path / "out")
+    lines = [line.strip() for line in out.splitlines() if not line.startswith("          ") and line.strip()]
+    title, verdict, *lines = lines
+    assert title.startswith("everything")
+    explain(verdict.partition(":")[0])
+    engines = {"newton_euler", "mujoco"}
+    names = {}
+    for line in lines:
+        first = line.split()[0]
+        if first not in engines and not re.match(r"[\d.]+ s of motion", line):
+            known = [name for name in (*LineName, *Note, *LEVELS, *LEVEL_ROWS) if line.startswith(name)]
+            names[line] = max(known, key=len, default=None)
+    assert [line for line, name in names.items() if name is None] == []
+    assert {LineName.YOUR_SETTINGS, LineName.WITHOUT, LineName.CAUSE, LineName.MORE} <= set(names.values())
+    for name in set(names.values()):
+        assert explain(name)
 
 
 @pytest.mark.parametrize("topic", TOPICS)

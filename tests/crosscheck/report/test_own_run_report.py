@@ -57,7 +57,7 @@ def test_it_is_the_first_after_the_verdict(verdict):
 
 def test_json_has_the_judgement_and_the_error_over_time(folder, verdict):
     found, own = json.loads((folder / "summary.json").read_text())["own_run"], verdict.own_run
-    assert (found["band"], found["relative"]) == ("USABLE", own.error.relative)
+    assert (found["band"], found["relative"]) == ("OFF", own.error.relative)
     assert found["causes"][0]["name"] == own.causes[0].name
     assert found["remedies"][0]["fragment"] == own.remedies[0].fragment
     curve = found["error_over_time"]

@@ -6,9 +6,10 @@ import json
 from pathlib import Path
 
 import pytest
+from own_runs import judged_run
 
 from crosscheck.loading.load import load_scene, with_excitation
-from crosscheck.own_run.judge import Judgement, judge
+from crosscheck.own_run.judge import Judgement
 from crosscheck.studies.own_run_table import own_run_result, own_run_table
 
 SCRIPT = Path(__file__).parents[3] / "docs" / "results" / "own_runs" / "engine_alone.py"
@@ -32,10 +33,7 @@ def judged(folder: Path, text: str) -> tuple[Judgement, Path, Path]:
     """Judge the run of a model; return the judgement, the model file and the summary."""
     path, summary = folder / "model.xml", folder / "summary.json"
     path.write_text(text)
-    _, report = load_scene(str(path), with_excitation(str(path), {}))
-    assert report is not None
-    assert report.simulation is not None
-    judgement = judge(report.simulation)
+    judgement = judged_run(*load_scene(str(path), with_excitation(str(path), {})))
     summary.write_text(json.dumps({"own_run": judgement.summary()}))
     return judgement, path, summary
 
@@ -45,13 +43,14 @@ def test_mujoco_alone_repeats_the_errors(tmp_path: Path) -> None:
     judgement, path, summary = judged(tmp_path, ARM_ON_A_LOOP)
     assert judgement.events, "dry friction acts and is left out"
     assert any(judgement.run_inputs["ctrl"]["sine"]), "the motor is driven"
-    assert judgement.remedies
+    assert judgement.without is not None
+    assert judgement.without.remedies
     row = own_run_result(path, summary, SCRIPT)
     assert row is not None
     assert row.repeats
     assert row.word == "WRONG"
     assert row.without.startswith("dry friction of joint 'a'")
-    assert len(row.repeated.split("; ")) == 1 + len(judgement.remedies)
+    assert len(row.repeated.split("; ")) == 1 + len(judgement.without.remedies)
 
 
 @pytest.mark.slow
@@ -59,7 +58,7 @@ def test_other_numbers_are_not_repeated(tmp_path: Path) -> None:
     judgement, path, summary = judged(tmp_path, ARM_ON_A_LOOP)
     content = judgement.summary()
     for name in ("position", "rotation", "largest_position", "largest_rotation"):
-        content["error"][name] *= 1.2
+        content["without"]["error"][name] *= 1.2
     summary.write_text(json.dumps({"own_run": content}))
     row = own_run_result(path, summary, SCRIPT)
     assert row is not None

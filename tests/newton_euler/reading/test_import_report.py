@@ -18,7 +18,7 @@ def test_elements_that_move_something_are_counted_once() -> None:
     assert report.counts() == ""
     report.left_out("joint 'a'", "its limits", topic="limits")
     report.left_out("joint 'a'", "its dry friction", topic="dry friction")
-    assert report.counts() == "1 element is left out"
+    assert report.counts() == "1 element is left out (joint 'a': limits, dry friction)"
     report.left_out("joint 'b'", "its limits", topic="limits")
     assert report.counts() == "2 elements are left out"
 
@@ -26,7 +26,7 @@ def test_elements_that_move_something_are_counted_once() -> None:
 def test_what_acts_wherever_a_model_is_is_named_where_it_is_left_out() -> None:
     report = ImportReport()
     report.left_out("actuator 'a'", "its limit of the force", topic="limit of the force")
-    assert report.counts() == "1 element is left out"
+    assert report.counts() == "1 element is left out (actuator 'a': limit of the force)"
     for element in ("actuator 'b'", "actuator 'c'", "equality 'd'"):
         report.left_out(element, "it has dynamics")
     assert report.counts() == "4 elements are left out (1 equality, 2 actuators)"
@@ -49,7 +49,7 @@ def test_the_verdict_tells_how_much_of_the_file_is_not_in_it(capsys, tmp_path: P
     assert status == ExitStatus.REDUCED
     (verdict,) = (line for line in text.splitlines() if line.startswith(Outcome.AGREE_ON_A_REDUCED_MODEL))
     assert verdict.endswith(
-        "; motion covers 7 of 7 elements; of what can act in the file 1 element is left out"
+        "; motion covers 7 of 7 elements; of the file, 1 element is left out (joint 'a': dry friction)"
     )
     assert json.loads((out / "summary.json").read_text())["verdict"] == verdict
 
