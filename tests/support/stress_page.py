@@ -30,7 +30,7 @@ def tables(results: str) -> Iterator[tuple[str, list[str]]]:
     assert verdict is not None, "the file has no verdict"
     caption = "passed cases of each engine by topic; the column `all` has cases of crosscheck itself"
     yield "summary", [sections["passed cases"], "", f"Table: {caption} ({verdict[1]})."]
-    yield "origin", [sections["about"].removeprefix("- ")]
+    yield "origin", [sections["about"].removeprefix("- ").partition(" Each case measures")[0]]
     for title, text in sections.items():
         if topic := TOPIC.fullmatch(title):
             letter = topic[1]
