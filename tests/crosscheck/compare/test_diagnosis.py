@@ -18,8 +18,9 @@ from crosscheck.compare.crosscheck import crosscheck
 from crosscheck.compare.levels import compare_equations
 from crosscheck.compare.momentum import momentum_check
 from crosscheck.compare.outlier import diagnose
+from crosscheck.compare.result import diagnosed
 from crosscheck.compare.samples import Samples, States
-from crosscheck.engines.engine_runs import collecting_errors
+from crosscheck.engines.engine_runs import Stop, collecting_errors
 from crosscheck.engines.registry import ENGINES
 from crosscheck.library import load
 from crosscheck.studies.faults import find as finding
@@ -176,6 +177,19 @@ def test_a_run_that_stopped_decides_nothing_about_later_times(ends, outlier):
         assert found.differing == (NE, MJ)
         assert found.agree == ()
         assert found.who.endswith("no third engine decides which is right")
+
+
+def test_stops_of_a_comparison_end_the_runs_of_the_diagnosis():
+    rows = [
+        row("trajectories", (NE, MJ), 5.0),
+        row("trajectories", (NE, PIN), 0.01),
+        row("trajectories", (MJ, PIN), 0.5),
+    ]
+    scene, engines = load("pendulum"), list(ENGINES.values())
+    (complete,) = diagnosed(scene, engines, rows, (), [Stop("energy", "a part that is no engine")])
+    (stopped,) = diagnosed(scene, engines, rows, (), [Stop(PIN, "steps too small", 0.24)])
+    (not_started,) = diagnosed(scene, engines, rows, (), [Stop(PIN, "refused")])
+    assert [each.outlier for each in (complete, stopped, not_started)] == [MJ, "", ""]
 
 
 @pytest.mark.parametrize(("ends", "outlier"), [({}, MJ), ({MJ: 0.9}, MJ), ({NE: 0.9}, "")])
