@@ -174,6 +174,8 @@ def _histograms(axes: Array, effects: Effects, nominal: Mapping[str, float]) -> 
     for ax, (scalar, _) in zip(axes, effects, strict=True):
         known, nominal_value = scalar.values[np.isfinite(scalar.values)], nominal[scalar.label]
         origin, minus_origin = _origin(np.append(known, nominal_value))
+        if origin and np.isfinite(nominal_value):  # the axis has differences, those from the nominal value
+            origin, minus_origin = nominal_value, f" - nominal ({nominal_value:.6g})"
         ax.hist(known - origin, bins=60, color=LOW_COLOR)
         for quantile in scalar.quantiles[1:-1]:  # 5 %, 50 % and 95 %, without the extremes
             ax.axvline(quantile - origin, color="black", linewidth=0.8, linestyle=":")
