@@ -97,16 +97,32 @@ class CheckedModel:
             *_, recording = self.verdict.save(self.folder)
             pytest.fail(f"{problem}\nlook: crosscheck view {recording}", pytrace=False)
 
-    def assert_unchanged(self) -> None:
+    def assert_unchanged(self, allow_reduced: bool = False) -> None:
         """Fail the test if results differ from the stored baseline; the message lists them.
 
-        The test also fails if an engine of the baseline is not installed. A new baseline has the default
-        engines and those that the test names. The baseline of a model file is next to the file. That of a
-        model in memory is next to the test, in SCENE.baseline.json.
+        The test passes and fails as `crosscheck regress` does. It also fails if an engine of the baseline is
+        not installed, and if elements of the file act that are not simulated.
+
+        `pytest --crosscheck-update "REASON"` writes the baselines of all tests that it runs, instead of
+        comparing with them. To write the baseline of one test, select the test: `pytest -k test_arm
+        --crosscheck-update "lighter gripper"`.
+
+        A new baseline has the default engines and those that the test names. The baseline of a model file is
+        next to the file. That of a model in memory is next to the test, in SCENE.baseline.json.
+
+        Args:
+            allow_reduced: whether to pass if elements of the file act that crosscheck does not simulate, such
+                as contacts.
         """
-        from crosscheck.regress.compare import compare
+        from crosscheck.compare.outcome import Outcome
         from crosscheck.regress.report import tables
-        from crosscheck.regress.run import GuardedScene, engines_of, guard_scene, update_baselines
+        from crosscheck.regress.run import (
+            GuardedScene,
+            check_baselines,
+            engines_of,
+            guard_scene,
+            update_baselines,
+        )
         from crosscheck.report.render import terminal
 
         __tracebackhide__ = True
@@ -134,9 +150,16 @@ class CheckedModel:
             pytest.fail(f"no baseline {guarded.path}; pytest {UPDATE_OPTION} REASON stores it", pytrace=False)
         else:
             with _errors_as_failures():
-                comparison = compare(guarded.scene, guarded.baseline(), _no_progress, guarded.import_report)
-            if comparison.moved or comparison.not_measured:
-                pytest.fail(f"{terminal(tables([comparison]))}{comparison.verdict}", pytrace=False)
+                (comparison,), recordings, _ = check_baselines(
+                    [guarded], self.folder, _no_progress, left_out={}, allow_reduced=allow_reduced
+                )
+            if not comparison.outcome.passes(allow_reduced):
+                lines = [f"{terminal(tables([comparison]))}{comparison.verdict}"]
+                if comparison.outcome is Outcome.QUIET_ON_A_REDUCED_MODEL:
+                    lines.append(f"{comparison.outcome}; to accept: assert_unchanged(allow_reduced=True)")
+                lines += [f"look: crosscheck view {path}" for path in recordings.values()]
+                lines.append(f"results: {self.folder}")
+                pytest.fail("\n".join(lines), pytrace=False)
 
 
 def _no_progress(_: str) -> None:

@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 
 _path = click.Path(path_type=Path)
 
+FOLDER = Path("output/regress")
+"""Parent of the default folders for reports."""
+
 ENGINES_OF_BASELINES = (
     f"Engines of new baselines, with --update.  [default: those of the old baseline, or {DEFAULT_ENGINES}]"
 )
@@ -59,9 +62,8 @@ ENGINES_OF_BASELINES = (
 @click.option(
     "--output",
     type=_path,
-    default=Path("output/regress"),
-    show_default=True,
-    help="Folder for reports (JSON, JUnit XML, Markdown) and recordings.",
+    help="Folder for reports (JSON, JUnit XML, Markdown) and recordings.  "
+    "[default: output/regress/NAME for one SCENE, output/regress for several]",
 )
 @allow_reduced_option
 @verbose_option
@@ -71,7 +73,7 @@ def regress_command(
     baseline: Path | None,
     reason: str | None,
     engines: list[str] | None,
-    output: Path,
+    output: Path | None,
     allow_reduced: bool,
 ) -> int:
     """Regression test: compare results with stored baselines.
@@ -82,7 +84,7 @@ def regress_command(
     The exit status is 0 if no value moved by more than its tolerance, else 1. It is 3 if an engine of a
     baseline is not installed, and 4 if elements of a file act that are not simulated.
     """
-    from crosscheck.regress.report import outcome, report, tables, verdict
+    from crosscheck.regress.report import outcome, quiet_versions, report, tables, verdict
     from crosscheck.regress.run import check_baselines, update_baselines
 
     if len(sources) != 1 and (settings or baseline):
@@ -101,15 +103,18 @@ def regress_command(
             for group, why in found.left_out.items():
                 say(f"  {group} left out: {why}")
         return AGREE  # exit status 0
+    folder = output or _usual_folder(sources)
     # `recordings`: files that show a scene and its baseline side by side, by name of each scene that moved
     with progress_shown() as progress:
-        compared, recordings, written = check_baselines(guarded, output, progress, left_out, allow_reduced)
+        compared, recordings, written = check_baselines(guarded, folder, progress, left_out, allow_reduced)
     # with --verbose all parts of the report, except for the first, the verdicts, which follow; else tables of
     # the changes
     parts = verbose_parts(report(compared, recordings, left_out))[1:]
     click.echo(terminal(parts or tables(compared)), nl=False)
     for comparison in compared:
         say(comparison.verdict)
+        if versions := quiet_versions(comparison):
+            say(f"  {versions}")
         if comparison.scene in recordings:
             say(f"  recording: {recordings[comparison.scene]}")
     for name, why in left_out.items():
@@ -117,6 +122,15 @@ def regress_command(
     say("wrote " + ", ".join(str(path) for path in written))
     say(verdict(compared, left_out), bold=True)
     return outcome(compared).exit_status(allow_reduced)
+
+
+def _usual_folder(sources: tuple[str, ...]) -> Path:
+    """Return the default folder for reports: one for each model, so that no call replaces another model's."""
+    from crosscheck.report.output import usual_folder
+
+    if len(sources) != 1:
+        return FOLDER
+    return usual_folder(FOLDER, sources[0], "regression test")
 
 
 def _load_guarded(

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any
@@ -39,6 +39,12 @@ from newton_euler.scalars import Array
 MODEL_FILE = "model file"
 """Level (group of checks) of the elements of a model file that are not simulated; other levels are names of
 groups of quantities."""
+
+LABELED_BY = {"mass": "bodies", "joint point": "joints", "position over time": "output times"}
+"""Quantities whose rows are all bodies, joints or output times of a scene, with the kind of the rows."""
+
+MAX_LABELS = 5
+"""Largest number of bodies, joints or times that one check names."""
 
 BETWEEN = ("baseline", "now")
 """Names of the two compared results in each check: the stored and the present one."""
@@ -158,7 +164,7 @@ class Comparison:
 
     @property
     def verdict(self) -> str:
-        """One line: the outcome, the number of checks, the changed versions and the time of divergence."""
+        """One line: the outcome and the number of checks; if it moved, versions and time of divergence."""
         baseline = f"the baseline of {self.last_update.date}"
         count = len(self.checks)
         not_measured = "".join(f"; not measured: {reason}" for reason in self.not_measured.values())
@@ -169,7 +175,7 @@ class Comparison:
                     f"{self.scene}: quiet: none of {count} checks fails against {baseline}{better}{left_out}"
                 )
             return f"{self.scene}: quiet: all {count} checks match {baseline}{left_out}"
-        since = ", ".join(self.changed_versions) or "no version changed"
+        since = ", ".join(self.changed_versions) or "no package version changed"
         when = "" if self.diverges is None else f"; poses differ from {self.diverges:.6g} s on"
         moved = f"{len(self.moved)} of {count} checks fail against {baseline} ({self.last_update.reason})"
         settings = ""
@@ -221,13 +227,19 @@ def compare(
     diverges = None
     simulation = import_report.simulation if import_report else None  # the model file in its own engine
     engines, not_measured = _engines_of(baseline)
+    reported = set[str]()  # bodies, joints and times that only the baseline or only the model has
     for group in baseline.groups:
         if group in not_measured:
             continue
         progress(f"{scene.name}: {group}")
         measured = measure_group(group, measured_scene, baseline.plan, simulation)
         stored = [quantity for quantity in baseline.quantities if quantity.group == group]
-        checks.extend(check_group(stored, measured))
+        for check, labels in check_labels(stored, [] if isinstance(measured, str) else measured):
+            checks.append(check)
+            reported |= labels
+        if isinstance(measured, str) and reported:  # the states of the baseline do not fit the model
+            measured = "not compared, as bodies or joints differ"
+        checks.extend(check_group(stored, measured, reported))
         if group == MAIN_FORMULATION and not isinstance(measured, str):  # the group with poses over time
             diverges = divergence_time(stored, measured, measured_scene.times)
     return Comparison(
@@ -292,25 +304,72 @@ def check_unsimulated(stored: Sequence[str], present: Sequence[str]) -> list[Bas
     ]
 
 
-def check_group(stored: Iterable[StoredQuantity], present: list[StoredQuantity] | str) -> list[BaselineCheck]:
+def check_labels(
+    stored: Iterable[StoredQuantity], present: Iterable[StoredQuantity]
+) -> Iterator[tuple[BaselineCheck, set[str]]]:
+    """Check that the bodies, joints and output times are those of the baseline.
+
+    Args:
+        stored: quantities of the baseline.
+        present: present quantities of the same group.
+
+    Yields:
+        A failed check for each kind of labels that changed, and the labels that only one side has.
+    """
+    now = {quantity.name: quantity for quantity in present}
+    for quantity in stored:
+        if quantity.name not in LABELED_BY or quantity.name not in now:
+            continue
+        rows = now[quantity.name].rows
+        gone = [label for label in quantity.rows if label not in rows]
+        new = [label for label in rows if label not in quantity.rows]
+        sides = (("only in the baseline", gone), ("only in the model", new))
+        if problem := "; ".join(f"{side}: {_listed(labels)}" for side, labels in sides if labels):
+            yield (
+                BaselineCheck(
+                    level=quantity.group,
+                    quantity=LABELED_BY[quantity.name],
+                    between=BETWEEN,
+                    value=np.inf,
+                    tolerance=0.0,
+                    where="",
+                    problem=problem,
+                ),
+                {*gone, *new},
+            )
+
+
+def _listed(names: Sequence[str]) -> str:
+    """List the first `MAX_LABELS` of some names, and the number of the others."""
+    more = len(names) - MAX_LABELS
+    return ", ".join(names[:MAX_LABELS]) + (f" and {more} more" if more > 0 else "")
+
+
+def check_group(
+    stored: Iterable[StoredQuantity], present: list[StoredQuantity] | str, reported: Collection[str] = ()
+) -> list[BaselineCheck]:
     """Check all quantities of a group.
 
     Args:
         stored: quantities of the baseline.
         present: present quantities, or the error message of the measurement.
+        reported: bodies, joints and times that only one side has, and that `check_labels` reports.
     """
     now = {} if isinstance(present, str) else {quantity.name: quantity for quantity in present}
     problem = present if isinstance(present, str) else "no longer measured"
-    return [_check(quantity, now.get(quantity.name), problem) for quantity in stored]
+    return [_check(quantity, now.get(quantity.name), problem, reported) for quantity in stored]
 
 
-def _check(stored: StoredQuantity, now: StoredQuantity | None, problem: str) -> BaselineCheck:
+def _check(
+    stored: StoredQuantity, now: StoredQuantity | None, problem: str, reported: Collection[str]
+) -> BaselineCheck:
     """Check one quantity at the number whose change is the largest multiple of its tolerance.
 
     Args:
         stored: quantity of the baseline.
         now: present quantity; None if it could not be measured.
         problem: why it could not be measured.
+        reported: as of `check_group`. Without these labels, both tables must have the same labels.
     """
     make_check = partial(
         BaselineCheck,
@@ -322,8 +381,10 @@ def _check(stored: StoredQuantity, now: StoredQuantity | None, problem: str) -> 
         is_error=stored.is_error,
         reason=stored.reason,
     )
+    if now is not None and reported:
+        stored, now = _without(stored, reported), _without(now, reported)
     if now is not None and (stored.rows, stored.columns) != (now.rows, now.columns):
-        now, problem = None, "has other bodies, joints or times than the baseline"
+        now, problem = None, "has other coordinates or components than the baseline"
     if now is None:
         return make_check(value=np.inf, tolerance=0.0, where="", problem=problem)
     if stored.array.size == 0:
@@ -332,6 +393,27 @@ def _check(stored: StoredQuantity, now: StoredQuantity | None, problem: str) -> 
     old, new = float(stored.array[row, column]), float(now.array[row, column])
     where = ", ".join(filter(None, (stored.rows[row], stored.columns[column])))
     return make_check(value=abs(new - old), tolerance=stored.tolerance[row], where=where, was=old, now=new)
+
+
+def _without(quantity: StoredQuantity, labels: Collection[str]) -> StoredQuantity:
+    """Return a quantity without the rows and columns of some bodies, joints and times.
+
+    A column may be a component of a body's pose, such as "rod x".
+    """
+    rows = [k for k, label in enumerate(quantity.rows) if label not in labels]
+    columns = [
+        k
+        for k, label in enumerate(quantity.columns)
+        if label not in labels and label.rpartition(" ")[0] not in labels
+    ]
+    return quantity.model_copy(
+        update={
+            "rows": [quantity.rows[k] for k in rows],
+            "columns": [quantity.columns[k] for k in columns],
+            "value": [[quantity.value[row][column] for column in columns] for row in rows],
+            "tolerance": [quantity.tolerance[row] for row in rows],
+        }
+    )
 
 
 def _change_ratios(stored: StoredQuantity, now: StoredQuantity) -> Array:

@@ -11,17 +11,27 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 
 from crosscheck.compare.activity import what_acted
 from crosscheck.compare.outcome import Outcome, Verdict
-from crosscheck.regress.compare import BaselineCheck, Comparison
+from crosscheck.regress.baseline import OWN_RUN_GROUP
+from crosscheck.regress.compare import MODEL_FILE, BaselineCheck, Comparison
 from crosscheck.report import render
 from crosscheck.report.chart import BarChart, Measure, log_chart
 from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table, number_columns, text_columns
 
 MAX_SHOWN_CHECKS = 12
 """Number of checks of a scene in its table of changes; the table of all checks has the others, too."""
+
+GROUP_TITLES = {
+    "relative": "joint coordinates",
+    "cartesian": "body coordinates",
+    OWN_RUN_GROUP: "your settings",
+}
+"""Names in tables of groups whose name in baseline files is not plain: coordinates of newton_euler's
+equations, and the run with the settings of the model file."""
 
 CHECK_COLUMNS = [*text_columns("quantity", "where"), *number_columns("was", "change", "change / tolerance")]
 """Columns of the tables of checks."""
@@ -39,11 +49,32 @@ def tables(comparisons: Sequence[Comparison]) -> Iterator[Table]:
             ("what is more accurate", comparison.more_accurate),
         ):
             if checks:
-                hidden = len(checks) - MAX_SHOWN_CHECKS
-                rows = [_row(check, f"{check.level}: ") for check in checks[:MAX_SHOWN_CHECKS]]
+                rows = list(_short_rows(checks))
+                hidden = len(rows) - MAX_SHOWN_CHECKS
                 # a text instead of a list of cells is a line across all columns
                 more = [f"and {hidden} more"] if hidden > 0 else []
-                yield Table(f"{comparison.scene}: {title}", CHECK_COLUMNS, [*rows, *more])
+                yield Table(f"{comparison.scene}: {title}", CHECK_COLUMNS, [*rows[:MAX_SHOWN_CHECKS], *more])
+
+
+def quiet_versions(comparison: Comparison) -> str:
+    """Name the package versions that changed although nothing moved; "" if none changed."""
+    changed = [] if comparison.moved else comparison.changed_versions
+    return f"versions that changed since the baseline: {', '.join(changed)}" if changed else ""
+
+
+def _short_rows(checks: Sequence[BaselineCheck]) -> Iterator[list[str | Cell]]:
+    """Yield a row for each check, and one row for consecutive checks of a group with the same problem."""
+    for (level, problem), group in groupby(checks, key=lambda check: (check.level, check.problem)):
+        alike = list(group)
+        if problem and len(alike) > 1 and level != MODEL_FILE:
+            yield [f"{_title(level)}: {len(alike)} quantities", Cell(problem, "fails"), "", "", ""]
+        else:
+            yield from (_row(check, f"{_title(level)}: ") for check in alike)
+
+
+def _title(level: str) -> str:
+    """Return the name of a group of quantities in tables: an engine, or words for what the group covers."""
+    return GROUP_TITLES.get(level, level)
 
 
 def _row(check: BaselineCheck, prefix: str = "") -> list[str | Cell]:
@@ -59,7 +90,8 @@ def _row(check: BaselineCheck, prefix: str = "") -> list[str | Cell]:
         return [name, Cell(check.problem or "the same", verdict), "", "", ""]
     change = f"{check.now - check.was:+.2e}"
     ratio = Cell(f"{check.tolerance_ratio:.3g} {better}".rstrip(), verdict, about=check.reason)
-    return [name, check.where, f"{check.was:.9g}", change, ratio]
+    where = f"coordinate {check.where}" if check.where.isdecimal() else check.where
+    return [name, where, f"{check.was:.9g}", change, ratio]
 
 
 def outcome(comparisons: Sequence[Comparison]) -> Outcome:
@@ -113,12 +145,12 @@ def report(
     lines: list[str] = []
     all_checks: list[Part] = []
     for comparison in comparisons:
-        lines.append(comparison.verdict)
+        lines += filter(None, [comparison.verdict, quiet_versions(comparison)])
         if comparison.scene in recordings:
             lines.append(f"recording: {recordings[comparison.scene]}")
         rows: Rows = []
         for level in dict.fromkeys(check.level for check in comparison.checks):
-            rows += [level, *(_row(check) for check in comparison.checks if check.level == level)]
+            rows += [_title(level), *(_row(check) for check in comparison.checks if check.level == level)]
         for engine, reason in comparison.not_measured.items():
             rows += [engine, ["not measured", Cell(reason, "fails")]]
         if comparison.acting:
@@ -177,10 +209,12 @@ def as_json(
     files: Mapping[Path, bytes],
     left_out: Mapping[str, str],
     whole: Report,
+    sources: Sequence[str],
 ) -> bytes:
     """Format regress.json: all checks, the report, and SHA-256 checksums of files.
 
     Args:
+        sources: names or files of the models.
         comparisons, recordings, left_out: as in `report`.
         files: contents of the files that are written together with regress.json, by path.
         whole: the report that `report` made.
@@ -191,6 +225,7 @@ def as_json(
         for comparison in comparisons
     ]
     content = {
+        "models": [{"source": source} for source in sources],
         "quiet": not any(comparison.moved for comparison in comparisons),
         "outcome": outcome(comparisons).value,
         "cheaper": [comparison.scene for comparison in comparisons if comparison.cheaper],

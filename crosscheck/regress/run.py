@@ -265,7 +265,7 @@ def check_baselines(
     # write everything together
     whole = report(comparisons, recordings, left_out, allow_reduced)
     texts = (
-        as_json(comparisons, recordings, contents, left_out, whole),
+        as_json(comparisons, recordings, contents, left_out, whole, [each.source for each in guarded]),
         junit(whole).encode(),
         markdown(whole).encode(),
     )

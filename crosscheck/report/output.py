@@ -48,6 +48,7 @@ MODEL_RECORDS = {
     "fault search": ("faults.json",),
     "fit": ("identify.json",),
     "tuning": ("tune.json",),
+    "regression test": ("regress.json",),
     "comparison of files": ("diff.json",),
     "comparison of importers": ("importers.json",),
 }

@@ -82,6 +82,7 @@ QUICK = {
     "controllers": (("--engines", "newton_euler"), "comparison of controllers"),
     "workspace": (("--vary", "pivot=-1:1:2"), "workspace"),
     "faults": (("--engines", "newton_euler"), "fault search"),
+    "regress": ((), "regression test"),
     "identify": (("measured.csv", "--fit", "bob.mass"), "fit"),
     "sun": (("--axis", "crank=0,0,1", "--latitude", "10", "--date", "2026-03-21"), "solar day"),
     "year": (("--axis", "crank=0,0,1", "--latitude", "10", "--year", "2026"), "solar year"),
@@ -99,7 +100,7 @@ def test_results_of_every_command_are_those_of_one_file(capsys, monkeypatch, tmp
     for path in ("one.yaml", "other/one.yaml"):
         (tmp_path / path).parent.mkdir(exist_ok=True)
         scene_file((tmp_path / path).parent, short_example() | {"name": "mine"}, "one.yaml")
-    if command in ("drives", "faults", "identify", "sun", "year"):  # which take long
+    if command in ("drives", "faults", "identify", "regress", "sun", "year"):  # which take long
         home.mkdir(parents=True)
         record.write_text('{"source": "one.yaml"}')
     else:

@@ -48,6 +48,12 @@ SUITE = """
     def test_guarded(crosscheck):
         crosscheck("arm.xml", ["newton_euler"], key="go", duration=0.05).assert_unchanged()
 
+    def test_ball(crosscheck):
+        crosscheck("ball.xml", ["newton_euler"], duration=0.3).assert_unchanged()
+
+    def test_reduced(crosscheck):
+        crosscheck("ball.xml", ["newton_euler"], duration=0.3).assert_unchanged(allow_reduced=True)
+
     def test_missing(crosscheck):
         crosscheck("leg.xml")
 
@@ -56,10 +62,16 @@ SUITE = """
 """
 
 
+FALLING_BALL = """<mujoco><worldbody><geom type="plane" size="1 1 1"/>
+  <body name="ball" pos="0 0 0.3"><freejoint/><geom size="0.1"/></body></worldbody></mujoco>"""
+"""The ball touches the plane at 0.2 s: sqrt(2 (0.3 m - 0.1 m) / 9.81 m/s^2)."""
+
+
 @pytest.fixture
 def suite(pytester):
-    """A user's suite with a model beside it."""
+    """A user's suite with its models beside it."""
     (pytester.path / "arm.xml").write_text(LINKAGE.read_text())
+    (pytester.path / "ball.xml").write_text(FALLING_BALL)
     pytester.makepyfile(SUITE)
     return pytester
 
@@ -118,6 +130,18 @@ def test_a_baseline_is_stored_on_demand_and_compared_with(suite):
     text = done.stdout.str()
     assert re.search(r"model: mass, kg +coupler +0\.2958", text)
     assert "linkage: MOVED: " in text
+    recording = re.search(r"look: crosscheck view (\S+)", text)
+    assert recording is not None
+    assert Path(recording[1]).is_file()
+    assert (Path(recording[1]).parent / "junit.xml").is_file()
+
+
+def test_a_baseline_of_a_reduced_model_fails_as_the_command_does(suite):
+    run(suite, "-k", "test_ball", "--crosscheck-update", "as delivered").assert_outcomes(passed=1)
+    run(suite, "-k", "test_reduced").assert_outcomes(passed=1)
+    done = run(suite, "-k", "test_ball")
+    done.assert_outcomes(failed=1)
+    assert "QUIET ON A REDUCED MODEL; to accept: " in done.stdout.str()
 
 
 @pytest.mark.slow

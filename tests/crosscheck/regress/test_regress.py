@@ -23,12 +23,14 @@ from crosscheck.regress.compare import (
     MODEL_FILE,
     Comparison,
     check_group,
+    check_labels,
     check_unsimulated,
     compare,
     divergence_time,
 )
 from crosscheck.regress.plan import main_run, regress_scene
 from crosscheck.regress.quantities import Measurement
+from crosscheck.regress.report import quiet_versions, tables
 from crosscheck.regress.run import GuardedScene
 
 ROOT = Path(__file__).parents[3]
@@ -100,10 +102,53 @@ def test_what_is_not_measured_any_more_has_moved():
     for measured, problem in (
         ("SingularityError: no", "SingularityError: no"),
         ([quantity([[1.0]], name="other")], "no longer measured"),
-        ([quantity([[1.0], [2.0]])], "has other bodies, joints or times than the baseline"),
+        ([quantity([[1.0], [2.0]])], "has other coordinates or components than the baseline"),
     ):
         (found,) = check_group([stored], measured)
         assert (found.moved, found.problem) == (True, problem)
+
+
+def masses(*bodies):
+    return StoredQuantity(
+        group="model",
+        name="mass",
+        unit="kg",
+        rows=list(bodies),
+        columns=[""],
+        value=[[1.0 + len(body)] for body in bodies],
+        tolerance=[1e-9] * len(bodies),
+    )
+
+
+def test_a_renamed_body_is_one_failed_check_that_names_it():
+    stored, now = masses("crank", "rod"), masses("crank", "coupler")
+    ((named, labels),) = check_labels([stored], [now])
+    assert (named.quantity, named.moved) == ("bodies", True)
+    assert "rod" in named.problem
+    assert "coupler" in named.problem
+    (found,) = check_group([stored], [now], labels)
+    assert not found.moved  # the crank is the same
+    heavier = now.model_copy(update={"value": [[7.0], [8.0]]})
+    (found,) = check_group([stored], [heavier], labels)
+    assert (found.moved, found.where, found.now) == (True, "crank", 7.0)
+
+
+def test_poses_are_compared_at_bodies_that_both_have():
+    stored = quantity([[1.0, 2.0, 3.0]]).model_copy(update={"columns": ["rod x", "crank x", "crank y"]})
+    now = quantity([[2.0, 4.0]]).model_copy(update={"columns": ["crank x", "crank y"]})
+    (found,) = check_group([stored], [now], {"rod"})
+    assert (found.where, found.was, found.now) == ("row 0, crank y", 3.0, 4.0)
+    assert check_group([stored], [now])[0].problem
+
+
+def test_equal_problems_of_a_group_share_a_row():
+    problems = [
+        replace(check_group([quantity([[1.0]], name=name)], "no")[0], level=level)
+        for name, level in (("a", "relative"), ("b", "relative"), ("c", "mujoco"))
+    ]
+    made = UpdateRecord(date="2026-01-01", reason="first", versions={})
+    (table,) = tables([Comparison("s", tuple(problems), made, {}, None, 0.0)])
+    assert [row[0] for row in table.rows] == ["joint coordinates: 2 quantities", "mujoco: c, m"]
 
 
 def test_divergence_is_at_the_first_time_out_of_a_tolerance():
@@ -169,7 +214,7 @@ def test_what_is_cheaper_is_reported_in_every_format(capsys, tmp_path, guarded, 
 
     status, out, _ = run(capsys, "regress", model, "--output", "out")
     assert status == 0
-    assert f"relative: {name}" in out
+    assert f"joint coordinates: {name}" in out
     content = json.loads(Path("out/regress.json").read_text())
     assert (content["quiet"], content["cheaper"]) == (True, ["mine"])
     (scene,) = content["scenes"]
@@ -231,6 +276,7 @@ def test_versions_that_changed_are_named():
     made = UpdateRecord(date="2026-01-01", reason="first", versions={"python": "3.11.0", "numpy": "2.0.0"})
     found = Comparison("s", (), made, {"python": "3.11.0", "numpy": "2.1.0", "pin": "4.1"}, None, 0.0)
     assert found.changed_versions == ["numpy 2.0.0 -> 2.1.0", "pin none -> 4.1"]
+    assert quiet_versions(found).endswith(": numpy 2.0.0 -> 2.1.0, pin none -> 4.1")
 
 
 # The command
@@ -266,7 +312,7 @@ def test_options_that_do_not_fit(capsys, monkeypatch, guarded, arguments, messag
 
 def test_a_user_guards_a_model(capsys, guarded, monkeypatch):
     monkeypatch.chdir(guarded)
-    model, stored, folder = Path("mine.yaml"), Path("mine.baseline.json"), Path("output/regress")
+    model, stored, folder = Path("mine.yaml"), Path("mine.baseline.json"), Path("output/regress/mine")
     for reason in ("first", "again"):
         status, out, _ = run(capsys, "regress", model, "--update", reason)
         assert status == 0
@@ -289,10 +335,10 @@ def test_a_user_guards_a_model(capsys, guarded, monkeypatch):
     assert "mine: MOVED" in out
     assert "(again)" in out
     assert (folder / "mine.rrd").read_bytes()[:4] == b"RRF2"
-    assert "recording: output/regress/mine.rrd" in out
+    assert "recording: output/regress/mine/mine.rrd" in out
     content = json.loads((folder / "regress.json").read_text())
     (scene,) = content["scenes"]
-    assert (content["quiet"], scene["recording"]) == (False, "output/regress/mine.rrd")
+    assert (content["quiet"], scene["recording"]) == (False, "output/regress/mine/mine.rrd")
     suite = ElementTree.parse(folder / "junit.xml").getroot().find("testsuite")
     moved = sum(each["moved"] for each in scene["figures"])
     assert int(suite.get("failures")) == len(suite.findall("testcase/failure")) == moved > 10

@@ -139,18 +139,18 @@ def test_the_action_runs_a_command_that_exists():
 
 
 def test_the_inputs_of_the_action_reach_the_command(tmp_path):
-    """Options with blanks, one a line, and a model that begins with a dash."""
+    """Options with blanks and models, one a line, and a model that begins with a dash."""
     action = yaml.safe_load((ROOT / "action.yml").read_text())
     (step,) = [step for step in action["runs"]["steps"] if "crosscheck regress" in step.get("run", "")]
-    given = {"OPTIONS": "root=my parts\nbodies=3000\n", "BASELINE": "", "MODEL": "-x.xml"}
+    given = {"OPTIONS": "root=my parts\nbodies=3000\n", "BASELINE": "", "MODEL": "-x.xml\nmy arm.urdf\n"}
     given["ALLOW_REDUCED"] = "true"
     assert set(given) == set(step["env"])
     shown = 'crosscheck() { printf "%s\\n" "$@"; }\n' + step["run"]
     command = ["bash", "--noprofile", "--norc", "-eo", "pipefail", "-c", shown]
     done = subprocess.run(command, cwd=tmp_path, env=given, capture_output=True, text=True, check=True)
     words = done.stdout.splitlines()
-    assert words[-5:] == ["--set", "bodies=3000", "--allow-reduced", "--", "-x.xml"]
-    assert words[-7:-5] == ["--set", "root=my parts"]
+    assert words[-6:] == ["--set", "bodies=3000", "--allow-reduced", "--", "-x.xml", "my arm.urdf"]
+    assert words[-8:-6] == ["--set", "root=my parts"]
 
 
 def test_the_guide_is_a_workflow_of_ten_lines_that_fits_the_action():
