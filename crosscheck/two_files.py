@@ -82,15 +82,16 @@ def diff(
 ) -> Diff:
     """Compare two model files of one robot: what differs, and does it change the motion.
 
-    A number is as exact as it is written: differences of half a unit of the last digit, at most of the sixth,
-    are rounding.
+    A number is as exact as it is written: 0.12345678 means 0.123456775 to 0.123456785. Numbers with fewer
+    than six digits count as if they had six: 0.25 means 0.2499995 to 0.2500005.
 
     Args:
         first, second: paths of MJCF, URDF or scene files, an `MjSpec` or `MjModel` of MuJoCo, a `Model` of
             Pinocchio, alone or paired with its constraints, or a `Scene`.
         names: names of bodies or joints of the first file, and of their partners in the second. Others are
             found by names and structure.
-        tolerance: relative difference that counts as rounding, instead of the digits of the files.
+        tolerance: relative difference that counts as rounding, such as 1e-3, instead of the digits of the
+            files.
         geometry: whether shapes of bodies are compared, too. No compared motion has contacts, so that shapes
             do not change it. Scenes and models of Pinocchio have no shapes to compare.
         first_options, second_options: options of each model, such as `loops`, the loop file of a URDF.

@@ -435,6 +435,6 @@ def _notes(files: Sequence[RobotFile], alignment: Alignment, taken: Sequence[Cut
         if joints:
             yield f"Only in the {file} file, and held: {', '.join(joints)}."
     if taken[0].without_drives and (first.drives or second.drives):
-        yield "Drives do not act: only one of the formats has them."
+        yield "Drives do not act in the compared motions: one of the formats has none."
     if first.gravity is None and second.gravity is None:
         yield "Neither file has gravity: 9.81 m/s^2 along -z."

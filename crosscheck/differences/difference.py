@@ -123,10 +123,14 @@ class Difference:
         first, second: value in each file, in the frame, zero and sign of the first file; None if the
             element or the number is missing there.
         unit: of the values; "" for words and pure numbers.
-        size: relative difference, 0.01 for 1 %; in rad or m for directions, positions, zeros and limits.
+        size: relative difference, 0.01 for 1 %; in rad or m for directions, positions, zeros and limits;
+            1.0 if one of the files has no such number, and for words and elements. Sizes of different
+            quantities have different units: sort rows by `effect`, not by `size`.
         uncertainty: part of `size` that the digits of both files leave open.
         elements: names of all elements with the same cause; `element` is the one with the largest size.
-        effect: relative change of the robot's accelerations; None if not computed.
+        effect: relative change of the first robot's accelerations if it gets the numbers of this row, and
+            nothing else, from the second file; None for what is no part of the equations of motion, such as
+            limits. `Motion.change` is the change by all rows together, and not the sum of their effects.
         cause: explanation in words; "" for a number that merely differs.
         convention: whether the row only says that the files use other terms for the same robot, or differ in
             what does not change its motion.

@@ -11,6 +11,7 @@ from typing import assert_never
 import numpy as np
 
 from crosscheck.differences.alignment import JointPair
+from crosscheck.differences.causes import LACKING
 from crosscheck.differences.difference import Difference, Quantity, Value, difference, numbers
 from crosscheck.differences.drive_pairs import is_meant
 from crosscheck.differences.frames import MIN_OFFSET, CommonFrames, JointPlace, joint_name
@@ -25,7 +26,7 @@ from crosscheck.differences.stack import (
     twist,
     wrapped,
 )
-from newton_euler.reading.robot import FileDrive, JointKind, Robot
+from newton_euler.reading.robot import FileDrive, JointKind, Robot, RobotFile
 from newton_euler.scalars import Array
 
 JOINT_NUMBERS: dict[Quantity, str] = {
@@ -70,7 +71,12 @@ def joint_rows(common: CommonFrames, place: JointPlace, zeros: dict[JointKey, fl
     sizes = common.judge.compare(*efforts, relative)
     if sizes[0]:
         shown = _effort_shown(efforts[0][0]), _effort_shown(efforts[1][0])
-        yield difference(name, "joint", Quantity.EFFORT, shown, sizes, slide=slide)
+        is_idle = any(
+            shown[k] is None and _has_no_drive(side.file, key)
+            for k, (side, key) in enumerate(((common.first, pair.first), (common.second, pair.second)))
+        )
+        words = "nothing drives the joint" if is_idle else ""
+        yield difference(name, "joint", Quantity.EFFORT, shown, sizes, words, slide=slide, convention=is_idle)
 
 
 def regrouped_rows(common: CommonFrames) -> Iterator[Difference]:
@@ -165,6 +171,13 @@ def _efforts(common: CommonFrames, pair: JointPair) -> tuple[Array, Array]:
         largest = sum(limits) if limits else math.inf
         efforts.append(np.clip(effort, -largest, largest))
     return efforts[0], efforts[1]
+
+
+def _has_no_drive(file: RobotFile, key: JointKey) -> bool:
+    """Return whether a file that can have drives has none at a joint: a limit of effort limits nothing."""
+    name = file.robot.joint(key).name
+    can_have_drives = Quantity.PRESENCE not in LACKING.get(file.format, ())
+    return can_have_drives and not any(name in drive.gears for drive in file.robot.drives)
 
 
 def _largest_force(drive: FileDrive) -> float:

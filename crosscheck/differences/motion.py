@@ -62,12 +62,13 @@ class BodyChange:
 
 @dataclass(frozen=True)
 class Motion:
-    """Result of a comparison of the motions of two robots.
+    """Result of a comparison of two robots at twelve random states near the pose of the first file.
 
     Attributes:
         likeness: the result.
-        change: largest relative difference of accelerations.
-        uncertainty: of this body's change, by the digits of both files.
+        change: largest relative difference of accelerations of a body: root mean square over the four states
+            of a phase, divided by that of the acceleration. Other states can differ more.
+        uncertainty: part of `change` that the digits of both files can cause.
         body: name, in the first file, of the body with the largest change in excess of its uncertainty.
         phase: in which that body changes most.
         bodies: changes of all pairs of bodies.

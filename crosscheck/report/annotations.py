@@ -21,7 +21,8 @@ from crosscheck.differences.alignment import Alignment
 from crosscheck.differences.difference import Difference, Quantity
 from crosscheck.differences.frames import joint_name
 from crosscheck.differences.result import FileComparison
-from crosscheck.report.diff import effect_text, sentence, size_text, verdict
+from crosscheck.report.diff import sentence, verdict
+from crosscheck.report.diff_values import effect_text, size_text
 from crosscheck.report.render import printable
 from newton_euler.errors import DISTRIBUTION
 from newton_euler.model.source_file import SourceLine

@@ -7,12 +7,14 @@ from itertools import count
 from pathlib import Path
 
 from crosscheck.compare.outcome import Outcome, Verdict
-from crosscheck.differences.difference import Difference, Quantity, Side, Standing, Value
+from crosscheck.differences.common_states import PHASES
+from crosscheck.differences.difference import Difference, Quantity, Side, Standing
 from crosscheck.differences.motion import Likeness, Motion
 from crosscheck.differences.result import FileComparison
 from crosscheck.differences.rows import IF_FLOATING
 from crosscheck.differences.run import Run
 from crosscheck.own_run.allowed import length
+from crosscheck.report.diff_values import change_text, effect_text, size_text, value_texts
 from crosscheck.report.own_run import angle, percent
 from crosscheck.report.table import (
     Cell,
@@ -25,7 +27,6 @@ from crosscheck.report.table import (
     number_columns,
     text_columns,
 )
-from crosscheck.support.units import significant
 from newton_euler.reading.robot import RobotFile
 
 MAX_LISTED = 30
@@ -46,33 +47,8 @@ Sides = tuple[str, str]
 FILES: Sides = ("the first file", "the second file")
 """The robots of two files."""
 
-MAX_PERCENT = 10.0
-"""Relative difference from which on a factor takes the place of percent."""
-
-MIN_EFFECT = 1e-6
-"""Relative change of accelerations below which a difference has no effect in words."""
-
-ABSOLUTE = {
-    Quantity.CENTER,
-    Quantity.INERTIA_AXES,
-    Quantity.FRAME,
-    Quantity.JOINT_ORIGIN,
-    Quantity.JOINT_AXIS,
-    Quantity.JOINT_ORIENTATION,
-    Quantity.ZERO,
-    Quantity.REST,
-    Quantity.LIMITS,
-    Quantity.LOOP_POINT,
-    Quantity.LOOP_AXIS,
-    Quantity.LOOP_LENGTH,
-    Quantity.SPRING_POINT,
-    Quantity.START,
-    Quantity.START_SPEED,
-    Quantity.TRANSMISSION_OFFSET,
-    Quantity.PLACE,
-    Quantity.ORIENTATION,
-}
-"""Quantities whose difference is a length or an angle; that of others is relative."""
+MIN_SHOWN_ROUNDING = 0.05
+"""Fraction of a change of accelerations from which on the part that rounding can cause is printed."""
 
 
 def report(comparison: FileComparison) -> Report:
@@ -197,9 +173,10 @@ def motion_text(comparison: FileComparison, sides: Sides) -> str:
                 return f"{sides[0]} has {_counted(first, 'independent motion')}, {sides[1]} {second}"
             if any(gap.is_open for gap in motion.gaps):
                 return f"poses of {sides[0]} do not fit {sides[1]}: {gap_text(motion)}"
-            change = change_text(motion.change)
-            without = _without(comparison)
-            return f"accelerations{without} differ by up to {change}, at {motion.body}, {motion.phase}"
+            change = f"accelerations{_without(comparison)} at random states differ by"
+            is_rounded = motion.uncertainty > MIN_SHOWN_ROUNDING * motion.change
+            rounding = f", of which rounding can be {change_text(motion.uncertainty)}" if is_rounded else ""
+            return f"{change} {change_text(motion.change)}, at {motion.body}, {motion.phase}{rounding}"
         case Likeness.EQUAL | Likeness.ROUNDING:
             states = comparison.states
             is_reduced = states is not None and any(cut.takes_motion for cut in states.cuts)
@@ -310,17 +287,16 @@ def sentence(row: Difference, sides: Sides = FILES) -> str:
 
 
 def _with_values(row: Difference, sides: Sides) -> str:
-    """Tell a difference with its values; of several numbers, such as a position, only those of shapes."""
+    """Tell a difference with both values."""
     text = what_differs(row)
-    any_tuple = isinstance(row.first, tuple) or isinstance(row.second, tuple)
-    values = [value_text(value) for value in (row.first, row.second)]
+    values = value_texts(row)
     if row.quantity is Quantity.PRESENCE:
         text += f" only in {sides[row.first is None]}"
         if row.element_kind == "body":
             text += f" ({values[row.first is None]} kg)"
     elif row.quantity is Quantity.GRAVITY:
         text += f": {values[0]} against {values[1]} {row.unit}"
-    elif values[0] != values[1] and (row.is_geometry or not any_tuple):
+    elif values[0] != values[1]:
         unit = f" {row.unit}" if row.unit else ""
         between = unit if row.second is None else ""  # the unit is that of the number before
         text += f": {values[0]}{between} against {values[1]}{'' if row.second is None else unit}"
@@ -338,7 +314,10 @@ def _row(number: str, row: Difference) -> list[str | Cell]:
     """Make the cells of a difference for a page: number, element, what, both values, size and effect."""
     element = _element(row) + (f"\n{row.cause}" if row.cause else "")
     judged: Verdict = "fails" if row.standing is Standing.DIFFERENT else ""
-    values = [_with_unit(value, row.unit) for value in (row.first, row.second)]
+    values = [
+        text if value is None else f"{text} {row.unit}".strip()
+        for value, text in zip((row.first, row.second), value_texts(row), strict=True)
+    ]
     sizes = Cell(size_text(row), judged), effect_text(row)
     about = ", ".join(row.elements or (row.element,))
     return [number, Cell(element, about=about), _quantity(row), *values, *sizes]
@@ -364,53 +343,6 @@ def _element(row: Difference) -> str:
     return row.element + (f" and {others} more" if others > 0 else "")
 
 
-def effect_text(row: Difference) -> str:
-    """Format the change of accelerations; "none" below round-off, "" if it was not computed."""
-    if row.effect is None:
-        return ""
-    return "none" if row.effect < MIN_EFFECT else change_text(row.effect)
-
-
-def change_text(change: float) -> str:
-    """Format a relative change in percent; a large one as a factor."""
-    return percent(change) if change < MAX_PERCENT else f"{_number(change)} times"
-
-
-def _number(value: float) -> str:
-    """Format a number with three digits, and a short exponent from a million on."""
-    return significant(value).replace("e+0", "e").replace("e+", "e")
-
-
-def value_text(value: Value) -> str:
-    """Format a value of a model file with six digits; "none" if it has none."""
-    if value is None:
-        return "none"
-    if isinstance(value, str):
-        return value
-    numbers = value if isinstance(value, tuple) else (value,)
-    return " ".join(f"{number:.6g}" for number in numbers)
-
-
-def _with_unit(value: Value, unit: str) -> str:
-    """Format a value with its unit; words have the unit ""."""
-    return value_text(value) if value is None else f"{value_text(value)} {unit}".strip()
-
-
-def size_text(row: Difference) -> str:
-    """Format the size of a difference: a length, an angle, percent or a factor; "" if words differ."""
-    has_numbers = not any(value is None or isinstance(value, str) for value in (row.first, row.second))
-    if row.quantity is Quantity.PRESENCE or not has_numbers:
-        return ""
-    is_place = row.quantity is Quantity.SETTING and row.unit
-    if row.quantity not in ABSOLUTE and not is_place:
-        if row.size < MAX_PERCENT:
-            return percent(row.size)
-        if isinstance(row.first, float) and isinstance(row.second, float):
-            return f"times {_number(row.second / row.first)}"
-        return change_text(row.size)
-    return length(row.size) if row.unit == "m" else angle(row.size)
-
-
 def _notes(comparison: FileComparison, unlisted: int) -> Iterator[str]:
     """Yield how bodies were paired, what was left out, and how many rows are not listed."""
     if unlisted > 0:
@@ -418,6 +350,11 @@ def _notes(comparison: FileComparison, unlisted: int) -> Iterator[str]:
     alignment = comparison.alignment
     bodies = _counted(len(alignment.bodies), "body", "bodies")
     yield f"paired: {bodies} and {_counted(len(alignment.joints), 'joint')}"
+    if comparison.motion.likeness is Likeness.DIFFERENT:
+        yield (
+            f"motion: RMS change of accelerations at {len(PHASES)} random states near the pose of the first "
+            "file; other states can differ more"
+        )
     if alignment.renamed:
         pairs = [f"{one} = {two}" for one, two in alignment.renamed[:3]]
         more = f" and {len(alignment.renamed) - 3} more" if alignment.renamed[3:] else ""

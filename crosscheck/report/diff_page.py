@@ -11,7 +11,8 @@ from collections.abc import Iterator, Sequence
 from crosscheck.differences.difference import Difference, Standing
 from crosscheck.differences.motion import Motion
 from crosscheck.report.chart import BarChart, Measure, log_chart
-from crosscheck.report.diff import MIN_EFFECT, what_differs
+from crosscheck.report.diff import what_differs
+from crosscheck.report.diff_values import MIN_EFFECT
 from crosscheck.report.own_run import percent
 
 

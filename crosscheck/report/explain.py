@@ -37,6 +37,7 @@ TOPICS = (
     "standings",
     "differences",
     "importers",
+    "baselines",
     "conformance",
 )
 """Names of the files, in the order of the output."""

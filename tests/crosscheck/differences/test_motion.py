@@ -252,7 +252,7 @@ def test_drives_do_not_act_if_one_format_has_none() -> None:
     second = RobotFile(replace(first.robot, drives=(), gravity=None), format="URDF")
     found = compared(first, second)
     assert found.likeness is Likeness.EQUAL
-    assert found.notes == ("Drives do not act: only one of the formats has them.",)
+    assert found.notes == ("Drives do not act in the compared motions: one of the formats has none.",)
 
 
 def test_branch_without_partner_is_left_out() -> None:

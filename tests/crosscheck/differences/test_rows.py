@@ -762,6 +762,22 @@ def test_a_file_without_drives_has_the_efforts_of_the_drives_of_the_other_file()
     assert (row.element, row.quantity, row.first, row.second) == ("left_knee", Quantity.EFFORT, 35.0, 50.0)
 
 
+def test_an_effort_of_a_joint_that_nothing_drives_is_no_difference():
+    """URDF requires an effort, and the MJCF has none at a passive joint."""
+    first = replace(with_joint(walker(), "left_knee", effort=np.inf), drives=())
+    files = as_file(first), as_file(replace(walker(), drives=()), format="URDF")
+    (row,) = differences(*files, aligned(first, walker()), None)
+    assert (row.element, row.quantity, row.standing) == ("left_knee", Quantity.EFFORT, Standing.CONVENTION)
+    # both files state one: they differ
+    first = replace(with_joint(walker(), "left_knee", effort=35.0), drives=())
+    (row,) = differences(as_file(first), files[1], aligned(first, walker()), None)
+    assert row.standing is Standing.DIFFERENT
+    # controllers of two URDFs read the efforts
+    first = replace(with_joint(walker(), "left_knee", effort=np.inf), drives=())
+    (row,) = differences(as_file(first, format="URDF"), files[1], aligned(first, walker()), None)
+    assert row.standing is Standing.DIFFERENT
+
+
 def test_efforts_of_each_direction_are_compared_in_the_sense_of_the_first_file() -> None:
     text = """<mujoco><worldbody><body name="arm"><joint name="turn" axis="0 {0} 0"{1}/>
       <inertial pos="0.1 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody></mujoco>"""

@@ -220,7 +220,7 @@ def test_what_is_cheaper_is_reported_in_every_format(capsys, tmp_path, guarded, 
     (scene,) = content["scenes"]
     (entry,) = [each for each in scene["figures"] if each["cheaper"]]
     assert (entry["quantity"], entry["moved"], entry["was"], entry["now"]) == (name, False, 2.0 * cost, cost)
-    assert f"relative: {name}" in Path("out/summary.md").read_text()
+    assert f"joint coordinates: {name}" in Path("out/summary.md").read_text()
     suite = ElementTree.parse("out/junit.xml").getroot().find("testsuite")
     assert suite.get("failures") == "0"
     (output,) = suite.findall("testcase/system-out")
