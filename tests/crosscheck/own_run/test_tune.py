@@ -419,7 +419,8 @@ def test_settings_that_cannot_reach_the_error_are_given_up_with_the_reason(tmp_p
     # the judgement has no settings either, and the smallest error that it found
     judgement = judge(report.simulation)
     assert judgement.remedies == ()
-    best = min(each.error.relative for each in search.tradeoff)
-    assert judgement.smallest.relative == pytest.approx(best, rel=0.2)
+    best = min(each.error.relative for each in search.tradeoff)  # of more settings
+    smallest, own = judgement.smallest.relative, judgement.error.relative
+    assert best <= smallest <= own < 2.0 * smallest
     (fix,) = (line for line in own_run_lines(judgement)[0].lines if line.split()[0] == "fix")
     assert "none: no settings that were tried halve the error" in fix
