@@ -108,9 +108,7 @@ def reach_table(reach: Reach) -> Table:
             )
     columns = [
         *text_columns("sun's direction"),
-        *number_columns(
-            "hours", "% of\ndaylight", f"hours with tilt\nto {reach.max_tilt:g} deg", "off sun\ndeg"
-        ),
+        *number_columns("hours", "% of\ndaylight", f"hours to\n{reach.max_tilt:g} deg tilt", "off sun\ndeg"),
     ]
     return Table(f"directions of the sun over {reach.year} that the face can reach", columns, rows)
 
