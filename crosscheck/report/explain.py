@@ -185,11 +185,11 @@ def explanation_markdown(name: str) -> Iterator[str]:
         yield "| name | meaning | what you do |\n|---|---|---|"
         for each in topic.explanations:
             yield f"| {each.name} | {each.meaning}{_also(each)} | {each.labeled.get('Next', '')} |"
-        yield ""
+        yield f"\nTable: {topic.title[0].lower()}{topic.title[1:]}, their meaning, and what you do.\n"
 
 
 def _also(explanation: Explanation) -> str:
-    """Return a sentence with the other spellings of a name; empty if there are none."""
-    return (
-        f" Also printed as {', '.join(f'`{text}`' for text in explanation.also)}." if explanation.also else ""
-    )
+    """Return a sentence with the words of the terminal for a name; empty if the page has them anyway."""
+    known = f"{explanation.name} {explanation.meaning}"
+    words = [f"`{text}`" for text in explanation.also if text not in known]
+    return f" On the terminal: {', '.join(words)}." if words else ""

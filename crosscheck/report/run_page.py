@@ -69,13 +69,11 @@ def _steps_of_outcome(result: EngineComparison) -> Iterator[str]:
     model = shlex.quote(result.source) if result.source else "MODEL"
     match result.outcome:
         case Outcome.AGREE:
-            step = "The engines need no repair of the model."
             if result.mapping:
                 command = f"crosscheck regress {model} --update REASON"
-                step += f" To detect later changes, store the result as a baseline: `{command}`."
+                yield f"To detect later changes, store the result as a baseline: `{command}`."
             elif result.source:
-                step += f" To compare their speed at equal errors, run `crosscheck bench {model}`."
-            yield step
+                yield f"To compare the speed of the engines at equal errors, run `crosscheck bench {model}`."
         case Outcome.DISAGREE:
             for each in result.diagnosis:
                 who = f"{each.outlier}: " if each.outlier else ""

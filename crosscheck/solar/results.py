@@ -118,8 +118,8 @@ def summary_of(day: Day) -> dict[str, Any]:
         },
         "actuators": actuators,
         "blocked_hours": {cause.text: day.hours(causes == cause) for cause in Cause if cause != Cause.FREE},
-        "least_clearance": float(np.min(day.faced.checks.clearance)),
-        "least_to_singular": float(np.min(day.faced.checks.to_singular)),
+        "min_clearance": float(np.min(day.faced.checks.clearance)),
+        "min_to_singular": float(np.min(day.faced.checks.to_singular)),
         "lost_irradiation": day.lost_light,
         "irradiation": day.light,
     }
