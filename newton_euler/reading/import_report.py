@@ -318,11 +318,11 @@ class ImportReport:
         """Return the entries with one fate."""
         return [entry for entry in self.entries if entry.fate == fate]
 
-    def _single_name(self, fate: Fate) -> str:
-        """Return the element with a fate that can act, and its topics, such as "joint 'a': limits"."""
-        entries = [entry for entry in self.of(fate) if not entry.moves_nothing]
-        topics = dict.fromkeys(filter(None, (entry.topic for entry in entries)))
-        return ": ".join(filter(None, [entries[0].element, ", ".join(topics)]))
+    def _with_topics(self, element: str, fate: Fate) -> str:
+        """Return an element and its topics that have a fate and can act, such as "joint 'a': limits"."""
+        entries = [entry for entry in self.of(fate) if entry.element == element and not entry.moves_nothing]
+        topics = dict.fromkeys(entry.topic for entry in entries if entry.topic)
+        return ": ".join(filter(None, [element, ", ".join(topics)]))
 
     def counts(self) -> str:
         """Describe how many elements are approximated, inactive, left out, or switched off.
@@ -338,7 +338,8 @@ class ImportReport:
         found: list[str] = []
         for fate, count in sorted(Counter(worst.values()).items(), key=lambda item: FATES.index(item[0])):
             subject = "element is" if count == 1 else "elements are"  # only in the first part of the text
-            named = f" ({self._single_name(fate)})" if count == 1 else ""
+            elements = [element for element, of_element in worst.items() if of_element == fate]
+            named = f" ({self._with_topics(elements[0], fate)})" if count == 1 else ""
             found.append(f"{count} {'' if found else subject + ' '}{fate}{named}")
         # Equalities, actuators and tendons left out as a whole, and elements that no rule knows
         whole = {

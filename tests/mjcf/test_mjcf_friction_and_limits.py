@@ -139,7 +139,7 @@ def test_an_approximated_joint_counts_as_such_although_its_limits_are_inactive(t
     found = read(path, friction="regularized", duration=0.3)
     report = watched_in_new_run(found.scene, found.report)
     assert [entry.topic for entry in report.of("inactive") if "joint" in entry.element] == [LIMITS]
-    assert report.counts() == "1 element is approximated"
+    assert report.counts() == "1 element is approximated (joint 'rail': dry friction)"
 
 
 def test_each_option_takes_one_of_both(tmp_path: Path) -> None:
