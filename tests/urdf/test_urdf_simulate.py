@@ -118,5 +118,5 @@ def test_rows_of_bars_hop_over_flat_configurations():
 
 def test_a_linkage_that_locks_is_given_up_soon(locking):
     """Not only when steps are as short as a double can hold, a thousand of them later."""
-    with pytest.raises(IntegrationError, match="steps have become too small; fastest at joint 'motor'"):
+    with pytest.raises(IntegrationError, match=r"steps have become too small; .*fastest at joint 'motor'"):
         urdf.simulate(locking, integrator="Radau", rtol=1e-8, atol=1e-10)
