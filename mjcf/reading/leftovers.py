@@ -171,11 +171,12 @@ def _report_contacts(start: ModelAtStart, poses: Poses, report: ImportReport) ->
     """Report geoms and pairs of geoms that can touch, with the watch of contacts, and contact exclusions."""
     model, switched_off = start.model, start.disabled("CONTACT")
     can_touch = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    for count, what in ((np.sum(can_touch), "geoms that can touch"), (model.npair, "contact pairs")):
+    geoms, pairs = ("geom that can touch", "geoms that can touch"), ("contact pair", "contact pairs")
+    for count, (singular, plural) in ((int(np.sum(can_touch)), geoms), (model.npair, pairs)):
         if count:
             why = "contacts are one-sided and not simulated"
             report.left_out(
-                f"{count} {what}",
+                f"{count} {singular if count == 1 else plural}",
                 why,
                 topic=CONTACTS,
                 switched_off=switched_off,
@@ -184,7 +185,8 @@ def _report_contacts(start: ModelAtStart, poses: Poses, report: ImportReport) ->
 
     if model.nexclude:
         why = "these pairs of bodies cannot touch; contacts are not simulated anyway"
-        report.left_out(f"{model.nexclude} contact exclusions", why, moves_nothing=True)
+        what = "contact exclusion" if model.nexclude == 1 else "contact exclusions"
+        report.left_out(f"{model.nexclude} {what}", why, moves_nothing=True)
 
 
 class Poses:

@@ -71,7 +71,7 @@ def test_actuators_of_disabled_groups_and_contact_exclusions_are_counted(tmp_pat
     path.write_text(f'<mujoco><option actuatorgroupdisable="2"/><worldbody>{text}{exclude}</mujoco>')
     entries = {entry.element: entry for entry in read(path).report.entries}
     assert entries["actuator 'm'"].is_off
-    assert entries["1 contact exclusions"].moves_nothing
+    assert entries["1 contact exclusion"].moves_nothing
 
 
 def test_dampings_of_disabled_actuators_act(tmp_path: Path) -> None:
