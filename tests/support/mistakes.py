@@ -67,8 +67,8 @@ MISTAKES = {
     ),
     "a baseline compared with itself": (
         "crosscheck/regress/compare.py",
-        "_check(quantity, now.get(quantity.name), problem)",
-        "_check(quantity, quantity, problem)",
+        "_check(quantity, now.get(quantity.name), problem, reported)",
+        "_check(quantity, quantity, problem, reported)",
         "crosscheck/regress/test_regress.py::test_a_quantity_moves_where_it_leaves_its_tolerance",
     ),
     "the program of a scene with other numbers": (

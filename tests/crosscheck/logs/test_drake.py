@@ -37,6 +37,8 @@ from crosscheck.report.summary import judged_runs
 from newton_euler import simulate
 from newton_euler.model.source_file import SourceError
 
+pytestmark = pytest.mark.slow
+
 MODEL = "examples/linkage.xml"
 PATH = Path(__file__).parent / "drake_linkage.csv"
 JOINTS, BODIES = ("motor", "elbow", "pivot"), ("crank", "coupler", "rocker")

@@ -74,6 +74,7 @@ def judged(tmp_path, text):
     return judged_run(*load_scene(str(path), with_excitation(str(path), {})))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_cause(tmp_path, name):
     text, cause = CASES[name]

@@ -295,7 +295,7 @@ def test_models_in_memory(read):
         (
             GYROSCOPE,
             {"error": 1.0},
-            "error 1.0: needed: a fraction of the motion below 1, such as 0.1%",
+            "error 1.0: needed: a fraction of the motion below 1, such as 1e-3 or 0.1%",
         ),
         (
             GYROSCOPE,

@@ -136,6 +136,7 @@ def test_a_baseline_is_stored_on_demand_and_compared_with(suite):
     assert (Path(recording[1]).parent / "junit.xml").is_file()
 
 
+@pytest.mark.slow
 def test_a_baseline_of_a_reduced_model_fails_as_the_command_does(suite):
     run(suite, "-k", "test_ball", "--crosscheck-update", "as delivered").assert_outcomes(passed=1)
     run(suite, "-k", "test_reduced").assert_outcomes(passed=1)

@@ -63,6 +63,7 @@ def test_no_nearer_direction_is_free(day):
             assert (obstacles.check(obstacles.poses(below)).cause != Cause.FREE).any()
 
 
+@pytest.mark.slow
 def test_distances_from_singular_poses_have_the_right_jacobian(day):
     """The Jacobian behind them, of the sliders by turns of the normal, against finite differences."""
     row, step = int(np.flatnonzero(day.faced.replaced)[3]), 1e-5

@@ -118,6 +118,7 @@ def test_a_fault_of_each_kind_is_located_in_each_engine(example, name):
     assert [each.fault.name for each in found if not each.located] == []
 
 
+@pytest.mark.slow
 def test_motion_alone_finds_them_too(found):
     """Nine of ten are placed as well; what is not is a body taken for a joint at it, or the other way."""
     count = count_detected_by_motion(found)

@@ -72,6 +72,7 @@ def test_a_task_that_fails_is_not_made_again(cluster, tmp_path):
     assert len(list(tmp_path.iterdir())) == 1
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_loses_nothing(cluster, tmp_path):
     with Client(cluster) as client:
         (first, *_) = client.run(os.getpid).values()

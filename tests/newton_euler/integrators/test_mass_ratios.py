@@ -123,6 +123,7 @@ def test_the_pivot_ratio_of_constrained_links_has_no_masses(how):
     assert (ratios >= np.minimum(alone, NEAR_PIVOT_RATIO)).all()
 
 
+@pytest.mark.slow
 def test_a_cable_with_a_heavy_load_needs_no_dense_projection():
     """Dense projection costs a thousand times as much; the function that it calls is not even compiled."""
     masses = [0.01] * 30 + [1000.0]

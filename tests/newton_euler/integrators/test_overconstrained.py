@@ -66,6 +66,7 @@ def test_every_choice_of_rows_degenerates_within_a_revolution(name):
     assert min(values) < 0.1 * max(values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "formulation"), CASES)
 def test_adaptive_methods_keep_their_tolerance(name, formulation):
     """Ten tolerances of 20 to 1200 steps; without projection joints open, which grows over the run."""

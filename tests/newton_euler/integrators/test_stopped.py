@@ -76,6 +76,7 @@ def runaway(outputs=("velocities", "actuation"), duration=1.0) -> Scene:
     return replace(scene, initial_state=state)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 def test_what_was_computed_is_kept(engine):
     scene = runaway()

@@ -63,7 +63,7 @@ def test_contacts_are_seen_by_their_margin(duration, margin, fate, how, tmp_path
     found = told(report, "2 geoms that can touch")
     assert found[0] == fate
     assert how in found[1]
-    assert report.counts() == f"1 element is {fate}"
+    assert report.counts() == f"1 element is {fate} (2 geoms that can touch: contacts)"
 
 
 def test_contacts_are_seen_on_all_parts_of_a_body(tmp_path):

@@ -63,6 +63,7 @@ SEVERAL = ("exchanged", "permuted", "taken for", " as ", "dropped")
 """Faults that are seen at what depends on the element too, or at another one that acts like it."""
 
 
+@pytest.mark.slow
 def test_every_fault_that_moves_something_is_found_and_named(tmp_path: Path) -> None:
     """One of each kind in each element; `crosscheck faults --reading` plants all."""
     report = reading(tmp_path, ZOO).report

@@ -248,6 +248,7 @@ FOLDED = model(
 """Four bars in a line whose end is held: they start in a singular configuration."""
 
 
+@pytest.mark.slow
 def test_a_file_that_starts_in_a_singular_configuration_is_read_and_compared(tmp_path: Path) -> None:
     """No start velocities either: those that are free there begin no motion."""
     path = tmp_path / "model.xml"

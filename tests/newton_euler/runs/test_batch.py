@@ -200,6 +200,7 @@ def test_joint_coordinates_of_all_runs_are_those_of_each(name):
             assert np.array_equal(together.rates[run], alone.rates)
 
 
+@pytest.mark.slow
 def test_the_mechanism_of_a_run_is_its_own(short):
     """Of a run of a batch and of one with its derivatives, varied by geometry or by masses alone."""
     inertia = 1.5 * short.mechanism.body("panel_7").inertia

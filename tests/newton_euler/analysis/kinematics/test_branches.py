@@ -28,6 +28,7 @@ def distances(rotation, others):
     return np.max(np.abs(np.asarray(others) - rotation), axis=(1, 2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("heights", [(0.0, 0.0), (-0.05, 0.03), (0.1, 0.1), (-0.1, 0.2)])
 def test_branches_of_the_tracker_are_those_of_its_loop_equations(heights):
     """Each twice, for leg 5 may be turned about itself by half a revolution as well."""

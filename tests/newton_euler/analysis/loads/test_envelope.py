@@ -83,6 +83,7 @@ def states_of(run, rows):
         yield min(run.time[k], run.time[-1] * (1.0 - 1e-11)), run.state(k)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in SCENES if name != "free_top"])  # it has no reactions
 def test_reactions_of_three_engines_are_the_same_along_whole_runs(name):
     """At 51 states from the start of newton_euler's run to its end, by each engine's own equations.

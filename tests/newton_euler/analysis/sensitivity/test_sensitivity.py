@@ -178,6 +178,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "formulation"), CASES)
 def test_derivatives_are_those_of_finite_differences(name, formulation):
     """By each number alone, to 1e-7 of an array's largest derivative by it.
