@@ -33,6 +33,7 @@ from crosscheck.report.table import (
 )
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.files import write_files
+from crosscheck.support.name_lists import first_names
 from newton_euler.analysis.kinematics.crossings import Passage, passage
 from newton_euler.analysis.kinematics.poses import solve_poses
 from newton_euler.analysis.linear.linear_model import LinearModel, Modes, label
@@ -293,9 +294,8 @@ def report(found: ModalAnalysis) -> Report:
     count = len(model.coordinates)
     title = f"{scene.name} about {about}: {count} degree{'s' * (count != 1)} of freedom"
     rows = pose(scene, model)
-    at = ", ".join(f"{name} {value} {unit}" for name, value, unit in rows[:MAX_COORDINATES])
-    more = f" and {len(rows) - MAX_COORDINATES} more" if len(rows) > MAX_COORDINATES else ""
-    verdict = f"{stability(modes)}; at {at}{more}" if rows else stability(modes)
+    at = first_names([f"{name} {value} {unit}" for name, value, unit in rows], MAX_COORDINATES)
+    verdict = f"{stability(modes)}; at {at}" if rows else stability(modes)
     columns = text_columns("coordinate", "value", "unit")
     pose_table = Table("pose, from the initial one", columns, [list(row) for row in rows])
     parts: list[Part] = [pose_table, _eigenvalues(modes)]

@@ -16,6 +16,7 @@ from typing import assert_never
 from crosscheck.own_run.errors import LoopError, RunError
 from crosscheck.own_run.judge import Judgement
 from crosscheck.support.errors import CrosscheckError
+from crosscheck.support.name_lists import first_names
 from crosscheck.support.units import ANGLES, LENGTHS, quantity_text, significant
 from newton_euler.reading.file_run import Event
 
@@ -203,8 +204,7 @@ def _reduction(allowed: AllowedError, judgement: Judgement) -> str:
 
 def elements_text(events: Sequence[Event]) -> str:
     """Name the first one of some elements, and the number of the others."""
-    first, *others = events
-    return f"{first.element}{f' and {len(others)} more' if others else ''}"
+    return first_names([event.element for event in events], most=1)
 
 
 def _both(allowed: AllowedError, judgement: Judgement) -> tuple[str, str]:

@@ -166,7 +166,7 @@ def search_settings(
     whole.check_outputs()
     # the file as it stands until something acts that the reference does not have; if that is too early, the
     # file without it
-    as_it_stands = whole.run(simulation.settings)
+    as_it_stands = whole.run_once(simulation.settings)
     events = with_names(acting, as_it_stands.events)
     compared = whole
     if events and simulation.has_all_elements:
@@ -178,7 +178,9 @@ def search_settings(
         runs += 1
         evaluations = simulation.evaluations(settings)
         progress(f"run {runs}: {evaluations:.0f} evaluations per second of motion")
-        run = compared.in_window(compared.run(settings))
+        # the run with the settings of the file is kept; many others would need much memory
+        make_run = compared.run_once if settings == simulation.settings else compared.run
+        run = compared.in_window(make_run(settings))
         loop_error = compared.loop_error(run)
         return Tried(*compared.measured(settings, run), loop_error, run.stopped, evaluations)
 

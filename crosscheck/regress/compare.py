@@ -32,6 +32,7 @@ from crosscheck.engines.versions import versions
 from crosscheck.regress.baseline import Baseline, StoredQuantity, UpdateRecord
 from crosscheck.regress.measure import measure_group
 from crosscheck.regress.plan import MAIN_FORMULATION, regress_scene
+from crosscheck.support.name_lists import first_names
 from newton_euler.model.scene import Scene
 from newton_euler.reading.import_report import ImportedElement, ImportReport
 from newton_euler.scalars import Array
@@ -320,11 +321,13 @@ def check_labels(
     for quantity in stored:
         if quantity.name not in LABELED_BY or quantity.name not in now:
             continue
-        rows = now[quantity.name].rows
-        gone = [label for label in quantity.rows if label not in rows]
-        new = [label for label in rows if label not in quantity.rows]
+        before, after = dict.fromkeys(quantity.rows), dict.fromkeys(now[quantity.name].rows)
+        gone = [label for label in before if label not in after]
+        new = [label for label in after if label not in before]
         sides = (("only in the baseline", gone), ("only in the model", new))
-        if problem := "; ".join(f"{side}: {_listed(labels)}" for side, labels in sides if labels):
+        if problem := "; ".join(
+            f"{side}: {first_names(labels, MAX_LABELS)}" for side, labels in sides if labels
+        ):
             yield (
                 BaselineCheck(
                     level=quantity.group,
@@ -337,12 +340,6 @@ def check_labels(
                 ),
                 {*gone, *new},
             )
-
-
-def _listed(names: Sequence[str]) -> str:
-    """List the first `MAX_LABELS` of some names, and the number of the others."""
-    more = len(names) - MAX_LABELS
-    return ", ".join(names[:MAX_LABELS]) + (f" and {more} more" if more > 0 else "")
 
 
 def check_group(

@@ -27,6 +27,7 @@ from crosscheck.report.table import (
     number_columns,
     text_columns,
 )
+from crosscheck.support.name_lists import first_names
 from newton_euler.reading.robot import RobotFile
 
 MAX_LISTED = 30
@@ -191,8 +192,7 @@ def motion_text(comparison: FileComparison, sides: Sides) -> str:
 def _without(comparison: FileComparison) -> str:
     """Name the forces, at most three, that are in no motion that was compared; "" without such forces."""
     names = comparison.unmodeled
-    more = f" and {len(names) - 3} more" if names[3:] else ""
-    return f" without {', '.join(names[:3])}{more}" if names else ""
+    return f" without {first_names(names, 3)}" if names else ""
 
 
 def gap_text(motion: Motion) -> str:
@@ -356,9 +356,8 @@ def _notes(comparison: FileComparison, unlisted: int) -> Iterator[str]:
             "file; other states can differ more"
         )
     if alignment.renamed:
-        pairs = [f"{one} = {two}" for one, two in alignment.renamed[:3]]
-        more = f" and {len(alignment.renamed) - 3} more" if alignment.renamed[3:] else ""
-        yield f"paired by structure, as names differ: {', '.join(pairs)}{more}"
+        pairs = [f"{one} = {two}" for one, two in alignment.renamed]
+        yield f"paired by structure, as names differ: {first_names(pairs, 3)}"
     yield from comparison.motion.notes
     if any(row.cause.endswith(IF_FLOATING) for row in comparison.differences):
         yield (

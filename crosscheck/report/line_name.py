@@ -31,3 +31,8 @@ class LineName(StrEnum):
     def line(self, text: str) -> str:
         """Return an indented line of a judgement that begins with this name."""
         return f"  {self:<7} {text}"
+
+    @staticmethod
+    def continued(text: str) -> str:
+        """Return a line that continues the one above it, with its text below that text."""
+        return f"{'':<9} {text}"

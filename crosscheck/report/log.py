@@ -23,6 +23,7 @@ from crosscheck.report.own_run import (
     size,
 )
 from crosscheck.report.table import Lines
+from crosscheck.support.name_lists import first_names
 
 if TYPE_CHECKING:  # most comparisons have no logs
     from crosscheck.logs.judge import LogJudgement
@@ -65,13 +66,11 @@ def _lines(judgement: LogJudgement, allowed: Sequence[AllowedError]) -> Iterator
         texts.append(f"positions of {POINTS[judgement.points]}")
     if judgement.has_inputs:
         texts.append("inputs of the log")
-    yield f"  run     {'; '.join(texts)}"
+    yield LineName.RUN.line("; ".join(texts))
     # mistakes in reading the log: other units, orders or times with which the error is much smaller
     yield from (LineName.MISTAKE.line(mistake.text) for mistake in judgement.mistakes)
     if error.position or error.rotation:
-        yield LineName.ERRORS.line(
-            f"{'; '.join(error_texts(error, judgement.loop_error, judgement.has_energy))}"
-        )
+        yield LineName.ERRORS.line("; ".join(error_texts(error, judgement.loop_error, judgement.has_energy)))
     yield from allowed_lines(judgement, allowed)
     yield from (LineName.NOTE.line(note) for note in _notes(judgement))
 
@@ -120,19 +119,13 @@ def _notes(judgement: LogJudgement) -> Iterator[str]:
         advice = "log columns such as JOINT.effort if motors drove the run"
         yield f"neither the model nor the log has forces of motors: the reference moves freely; {advice}"
     if judgement.held_inputs:
-        yield f"no input in the log, held at the start: {_name_list(judgement.held_inputs)}"
+        yield f"no input in the log, held at the start: {first_names(judgement.held_inputs, MAX_NAMES)}"
     if judgement.missing:
-        yield f"not compared: {_name_list(judgement.missing)}"
+        yield f"not compared: {first_names(judgement.missing, MAX_NAMES)}"
     if judgement.dropped:
         rows = "row" if judgement.dropped == 1 else "rows"
         were = "was" if judgement.dropped == 1 else "were"
         yield f"{judgement.dropped} {rows} without some of the numbers {were} left out"
     if judgement.unused:
-        names = _name_list([name or "one without a name" for name in judgement.unused])
+        names = first_names([name or "one without a name" for name in judgement.unused], MAX_NAMES)
         yield f"columns not read, as the model has no joint, body or quantity of that name: {names}"
-
-
-def _name_list(names: Sequence[str]) -> str:
-    """List the first `MAX_NAMES` names, and the number of further names."""
-    more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
-    return ", ".join(names[:MAX_NAMES]) + more

@@ -26,6 +26,7 @@ from crosscheck.own_run.remedies import MeasuredRemedy
 from crosscheck.own_run.stability import ModelChange, Stability
 from crosscheck.report.line_name import LineName
 from crosscheck.report.table import Cell, Lines, Rows
+from crosscheck.support.name_lists import first_names
 from crosscheck.support.units import SECONDS_AND_MS, quantity_text, significant
 from newton_euler.reading.file_run import Event
 from newton_euler.reading.import_report import LIMITS
@@ -134,12 +135,13 @@ def _measured_lines(judgement: Judgement) -> Iterator[str]:
     if causes := _causes(judgement):
         yield LineName.CAUSE.line("; ".join(causes))
         if judgement.errors_cancel:
-            yield "          these errors partly cancel: the removal of one alone can make the run worse"
+            cancelling = "these errors partly cancel: the removal of one alone can make the run worse"
+            yield LineName.continued(cancelling)
     if judgement.stability is not None:
         for k, line in enumerate(_stability(judgement.stability)):
-            yield LineName.MODE.line(line) if k == 0 else f"{'':<9} {line}"
+            yield LineName.MODE.line(line) if k == 0 else LineName.continued(line)
     for k, fix in enumerate(fix_texts(judgement)):
-        yield LineName.FIX.line(fix) if k == 0 else f"{'':<9} {fix}"
+        yield LineName.FIX.line(fix) if k == 0 else LineName.continued(fix)
     if (best := judgement.smallest) is not None:
         smallest = f"the smallest error is {_sizes_as(judgement, best)} ({percent(best.relative)})"
         forces = f"; {APPROXIMATION_REMAINS}" if judgement.approximated else ""
@@ -227,10 +229,9 @@ def _only_in_run_text(events: Sequence[Event]) -> str:
 
 def _approximated_text(approximated: Sequence[str]) -> str:
     """State that the reference has some elements of the file as forces; name the first one."""
-    first, *others = approximated
-    more = f" and {len(others)} more" if others else ""
-    kinds = "forces" if others or first.startswith(LIMITS) else "a force"
-    return f"{first}{more}: {kinds} in the reference, and the difference is a part of the error"
+    kinds = "forces" if len(approximated) > 1 or approximated[0].startswith(LIMITS) else "a force"
+    names = first_names(approximated, most=1)
+    return f"{names}: {kinds} in the reference, and the difference is a part of the error"
 
 
 def chaos_text(scale: MotionScale) -> str:

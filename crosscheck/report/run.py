@@ -44,6 +44,7 @@ from crosscheck.report.table import (
     number_columns,
     text_columns,
 )
+from crosscheck.support.name_lists import first_names
 from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.undetermined import redundancy_text, undetermined_joints
@@ -276,7 +277,7 @@ def _reduction_lines(mapping: ImportReport) -> Iterator[str]:
     for entry in acting[:MAX_ACTING_LINES]:
         yield f"{Note.ACTIVE}: {entry.element}: {'; '.join(filter(None, [entry.seen, entry.how]))}"
     if more := [acted(entry) for entry in acting[MAX_ACTING_LINES:]]:
-        yield f"{Note.ACTIVE}, too: {_name_list(more)}"
+        yield f"{Note.ACTIVE}, too: {first_names(more, MAX_NAMES)}"
     # Excitation: start velocities and sines for actuators, which the reader adds to a file at rest
     if acting and acting[0].since and mapping.excitation:
         yield (
@@ -362,7 +363,7 @@ def _untested_lines(result: EngineComparison) -> Iterator[str]:
     for note, shared in ((Note.UNTESTED_CODE, True), (f"{Note.UNTESTED}, {changes}", False)):
         if names := [covered.element for covered in untested if covered.shared == shared]:
             listed = f", {ALL_LISTED}" if len(names) > MAX_NAMES else ""
-            yield f"{note}: {_name_list(names)}{listed}"
+            yield f"{note}: {first_names(names, MAX_NAMES)}{listed}"
 
 
 def redundancy_lines(scene: Scene) -> Iterator[str]:
@@ -382,7 +383,7 @@ def undetermined_lines(scene: Scene) -> Iterator[str]:
     """Yield a sentence on joints whose reactions are not unique at the start, if there are any."""
     count, joints = undetermined_joints(scene, initial_state(scene))
     if count:
-        yield f"{Note.NOT_UNIQUE}: {redundancy_text(count, _name_list(joints))}"
+        yield f"{Note.NOT_UNIQUE}: {redundancy_text(count, first_names(joints, MAX_NAMES))}"
 
 
 def _inactive_lines(mapping: ImportReport) -> Iterator[str]:
@@ -417,12 +418,6 @@ def _rest_line(result: EngineComparison) -> str:
     basis, _ = admissible_basis(system, q, body_units(result.scene))
     why = "it starts at rest in equilibrium" if basis.shape[1] else "the mechanism has no freedom"
     return f"{Note.NOTHING_MOVES}, as {why}; runs test nothing; largest displacement (m, rad): {moved}"
-
-
-def _name_list(names: Sequence[str]) -> str:
-    """List the first `MAX_NAMES` names, and the number of further names."""
-    more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
-    return ", ".join(names[:MAX_NAMES]) + more
 
 
 def _rounded(value: object) -> object:

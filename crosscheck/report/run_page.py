@@ -17,6 +17,7 @@ from crosscheck.report.explain import names_to_explain
 from crosscheck.report.own_run import fix_texts, without_text
 from crosscheck.report.summary import judged_checks, nearest
 from crosscheck.report.table import seconds
+from crosscheck.support.name_lists import first_names
 
 MIN_SHOWN_PERCENT = 0.1
 """Smallest value of a check that has a longer bar than others, percent of its tolerance."""
@@ -87,7 +88,7 @@ def _steps_of_outcome(result: EngineComparison) -> Iterator[str]:
         case Outcome.INACCURATE:
             yield f"Choose more accurate settings: `crosscheck tune {model}` searches the cheapest ones."
         case Outcome.AGREE_ON_A_REDUCED_MODEL:
-            names = _listed([entry.element for entry in result.acting])
+            names = first_names([entry.element for entry in result.acting], MAX_NAMED)
             yield (
                 f"Do not use the result for motions in which these act: {names}. They are in the file, and "
                 "crosscheck does not simulate them."
@@ -122,10 +123,5 @@ def _coverage_steps(result: EngineComparison) -> Iterator[str]:
     if result.coverage and result.coverage.is_prescribed:
         yield "All poses are prescribed, and masses change only forces: see `crosscheck loads`."
     elif names and not result.untested:
-        yield f"To test {_listed(names)}, choose a motion that depends on them; this one does not."
-
-
-def _listed(names: list[str]) -> str:
-    """List the first names, and the number of the others."""
-    more = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
-    return ", ".join(names[:MAX_NAMED]) + more
+        listed = first_names(names, MAX_NAMED)
+        yield f"To test {listed}, choose a motion that depends on them; this one does not."

@@ -20,6 +20,7 @@ from crosscheck.compare.check import (
 from crosscheck.compare.note import Note
 from crosscheck.compare.result import EngineComparison
 from crosscheck.own_run.allowed import OWN_RUN
+from crosscheck.report.line_name import LineName
 from crosscheck.report.log import log_lines
 from crosscheck.report.own_run import own_run_lines
 from crosscheck.report.table import Cell, Column, Lines, Part, Rows, Table, number_columns, seconds
@@ -68,7 +69,7 @@ def judged_runs(result: EngineComparison) -> list[Part]:
         changes = _start_changes(result.mapping, result.scene) if result.mapping else []
         own_run = own_run_lines(result.own_run, excitation, result.limits_of(OWN_RUN), changes)
         if result.logs and result.allowed_errors:
-            own_run[0].lines.append("  note    --max-error limits the logs, not this run")
+            own_run[0].lines.append(LineName.NOTE.line("--max-error limits the logs, not this run"))
         parts += own_run
     return parts
 

@@ -19,6 +19,7 @@ from crosscheck.own_run.tune import SettingsSearch, Tried
 from crosscheck.report.chart import Measure, log_chart
 from crosscheck.report.own_run import chaos_text, percent, sizes, unsimulated_text
 from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, number_columns
+from crosscheck.support.name_lists import first_names
 
 BAR_UNITS = {
     ErrorKind.RELATIVE: (0.01, "%"),
@@ -101,9 +102,8 @@ def _verdict(tuning: SettingsSearch) -> str:
         reached = "every run diverged" if best is None else f"the smallest error is {_error(best, target)}"
         reason = "; smaller steps do not reduce it" if tuning.has_converged else ""
         if tuning.has_converged and tuning.approximated:
-            first, *others = tuning.approximated
-            more = f" and {len(others)} more" if others else ""
-            reason += f", because {first}{more} as forces differ from constraints"
+            names = first_names(tuning.approximated, most=1)
+            reason += f", because {names} as forces differ from constraints"
         return f"NOT REACHED{which}: {reached}, of {tuning.runs} runs{reason}"
     return f"REACHED{which}: {_settings(found)}: {_error(found, target)}, {_cost(found, tuning.own)}"
 
@@ -160,7 +160,7 @@ def _table(tuning: SettingsSearch) -> Table:
 
 def _notes(tuning: SettingsSearch) -> Iterator[str]:
     """Yield how the settings were found, and the limits of the result."""
-    yield (f"{tuning.runs} runs, the cheapest settings first, by evaluations of the equations of motion")
+    yield f"{tuning.runs} runs, the cheapest settings first, by evaluations of the equations of motion"
     if tuning.events and tuning.until is not None:
         yield f"note: compared until then: {unsimulated_text(tuning.events)}"
     elif tuning.events:

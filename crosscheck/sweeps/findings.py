@@ -16,6 +16,7 @@ from crosscheck.compare.outcome import Outcome
 from crosscheck.engines.registry import SOLVER
 from crosscheck.report.run import undetermined_lines
 from crosscheck.report.table import Cell
+from crosscheck.support.name_lists import first_names
 from crosscheck.sweeps.analysis import Analysis, Effect
 from crosscheck.sweeps.checks import CheckedRun, output_lines, result_line
 from crosscheck.sweeps.kept_numbers import KeptNumber, analyzed, kept_numbers, most_informative
@@ -87,9 +88,8 @@ class Findings:
         names = list(dict.fromkeys(what_acted(entry) for each in self.checked for entry in each.acting))
         if not names:
             return ""
-        more = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
         runs = sum(bool(each.acting) for each in self.checked)
-        return f"not simulated: {', '.join(names[:MAX_NAMED])}{more}, in {runs} of {len(self.checked)} runs"
+        return f"not simulated: {first_names(names, MAX_NAMED)}, in {runs} of {len(self.checked)} runs"
 
     @cached_property
     def notes(self) -> list[str]:

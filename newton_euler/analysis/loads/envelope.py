@@ -196,26 +196,34 @@ def _check_run(scene: Scene, case: str, run: Trajectory) -> None:
 
 def joint_loads(scene: Scene, run: Trajectory) -> dict[Load, Array]:
     """Compute the loads (n,) of all joints over a run, see `load_envelope`."""
+    loads: dict[Load, Array] = {}
+    for joint in scene.mechanism.joints:
+        loads |= _loads_of_joint(scene, joint, run)
+    return loads
+
+
+def _loads_of_joint(scene: Scene, joint: Joint, run: Trajectory) -> dict[Load, Array]:
+    """Compute the loads (n,) of one joint over a run, see `load_envelope`."""
     assert run.reaction_force is not None
     assert run.reaction_torque is not None
+    k = scene.mechanism.joint_index(joint.name)
+    axes = _axes(scene, joint, run)
     loads: dict[Load, Array] = {}
-    for k, joint in enumerate(scene.mechanism.joints):
-        axes = _axes(scene, joint, run)
-        for what, unit, perpendicular, vectors in (
-            ("force", "N", "shear force", run.reaction_force[:, k]),
-            ("torque", "N m", "bending torque", run.reaction_torque[:, k]),
-        ):
-            components = dict(zip((f"{what} x", f"{what} y", f"{what} z"), vectors.T, strict=True))
-            components[what] = np.linalg.norm(vectors, axis=1)
-            if axes is not None:
-                u, w, axial = np.einsum("nij,ni->jn", axes, vectors)
-                components |= {
-                    f"axial {what}": axial,
-                    perpendicular: np.hypot(u, w),
-                    f"{what} u": u,
-                    f"{what} w": w,
-                }
-            loads |= {Load(joint.name, quantity, unit): values for quantity, values in components.items()}
+    for what, unit, perpendicular, vectors in (
+        ("force", "N", "shear force", run.reaction_force[:, k]),
+        ("torque", "N m", "bending torque", run.reaction_torque[:, k]),
+    ):
+        components = dict(zip((f"{what} x", f"{what} y", f"{what} z"), vectors.T, strict=True))
+        components[what] = np.linalg.norm(vectors, axis=1)
+        if axes is not None:
+            u, w, axial = np.einsum("nij,ni->jn", axes, vectors)
+            components |= {
+                f"axial {what}": axial,
+                perpendicular: np.hypot(u, w),
+                f"{what} u": u,
+                f"{what} w": w,
+            }
+        loads |= {Load(joint.name, quantity, unit): values for quantity, values in components.items()}
     return loads
 
 
@@ -240,14 +248,14 @@ def _axes(scene: Scene, joint: Joint, run: Trajectory) -> Floats | None:
 
 def actuator_loads(scene: Scene, run: Trajectory) -> dict[Load, Array]:
     """Compute the loads (n,) of control laws and prescribed motions over a run, see `load_envelope`."""
-    of_joints = joint_loads(scene, run)
     forces: list[tuple[OnCoordinate, Array]] = []
     for k, law in enumerate(scene.control):
         assert run.actuator_force is not None
         forces.append((law, run.actuator_force[:, k]))
     for motion in scene.motions:
         what, unit = ("force", "N") if scene.mechanism.is_slide(*motion.key) else ("torque", "N m")
-        axial = of_joints.get(Load(motion.joint, f"axial {what}", unit))
+        of_joint = _loads_of_joint(scene, scene.mechanism.joint(motion.joint), run)
+        axial = of_joint.get(Load(motion.joint, f"axial {what}", unit))
         if axial is not None:
             forces.append((motion, axial))
     loads: dict[Load, Array] = {}
