@@ -91,9 +91,9 @@ def test_every_case_is_in_all_results(capsys, tmp_path):
     in_table = lines_of(out, "Peak force of every case")
     for joint, texts in in_table.items():
         of_joint = [row for row in rows if (row["element"], row["quantity"]) == (joint, "force")]
-        peaks = {row["case"]: float(row["most"]) for row in of_joint}
+        peaks = {row["case"]: float(row["maximum"]) for row in of_joint}
         in_json = {
-            case: each["most"]
+            case: each["maximum"]
             for case, loads in content["loads_of_cases"].items()
             for each in loads
             if (each["element"], each["quantity"]) == (joint, "force")
@@ -102,7 +102,7 @@ def test_every_case_is_in_all_results(capsys, tmp_path):
         governing = max(peaks, key=lambda case: peaks[case])
         assert [row["case"] for row in of_joint if row["governs"] == "1"] == [governing]
         assert texts == [f"{'*' if case == governing else ''}{peak:.3g}" for case, peak in peaks.items()]
-        assert float(envelope[joint, "force"]["most"]) == peaks[governing]
+        assert float(envelope[joint, "force"]["maximum"]) == peaks[governing]
 
 
 @pytest.mark.slow
@@ -118,7 +118,7 @@ def test_wind_at_rest_has_the_largest_speed_of_its_run(capsys, tmp_path):
     assert held["time"] == pytest.approx(2.5, abs=0.01)
     assert content["held_winds"]["steady"] == []
     for each, other in zip(*content["loads_of_cases"].values(), strict=True):
-        assert each["most"] == pytest.approx(other["most"], rel=1e-5, abs=1e-12)
+        assert each["maximum"] == pytest.approx(other["maximum"], rel=1e-5, abs=1e-12)
 
 
 @pytest.mark.slow
@@ -132,7 +132,7 @@ def test_the_default_cases_load_a_stowed_panel_from_both_sides(capsys, tmp_path)
     vertical = {}
     for case in ("stow_up", "stow_down"):
         found = {
-            (each["element"], each["quantity"]): each["most"] for each in content["loads_of_cases"][case]
+            (each["element"], each["quantity"]): each["maximum"] for each in content["loads_of_cases"][case]
         }
         names = ("slide_12", "slide_13")
         vertical[case] = sum(found[name, "actuator force"] for name in names) + found["hinge_14", "force z"]
@@ -174,8 +174,8 @@ def plate_over_ground(width: float, height: float) -> Scene:
 def test_wind_outside_of_its_coefficients_is_a_warning(width, height, warnings):
     scene = plate_over_ground(width, height)
     (found,) = wind_ranges(scene, simulate(scene))
-    assert (found.least_attack, found.most_attack) == pytest.approx((20.0, 20.0), abs=0.1)
-    assert found.least_ratio == pytest.approx(width, rel=1e-6)
+    assert (found.minimum_attack, found.maximum_attack) == pytest.approx((20.0, 20.0), abs=0.1)
+    assert found.minimum_ratio == pytest.approx(width, rel=1e-6)
     assert found.clearance == pytest.approx(height, rel=1e-3)
     assert bool(found.warning) == bool(warnings)
     for warning in warnings:

@@ -46,9 +46,9 @@ class LoadRange:
         element: name of the joint, or of the joint coordinate that an actuator acts on.
         quantity: name such as "shear force", see `load_envelope`.
         unit: unit of the values.
-        least, most: smallest and largest value, with signs.
-        least_time, most_time: times, s, at which these values are first reached.
-        least_case, most_case: names of the cases with these values.
+        minimum, maximum: smallest and largest value, with signs.
+        minimum_time, maximum_time: times, s, at which these values are first reached.
+        minimum_case, maximum_case: names of the cases with these values.
         rms: root of the mean square over time, of the case with the largest one.
         rms_case: name of this case.
 
@@ -62,26 +62,26 @@ class LoadRange:
     element: str
     quantity: str
     unit: str
-    least: float
-    least_time: float
-    least_case: str
-    most: float
-    most_time: float
-    most_case: str
+    minimum: float
+    minimum_time: float
+    minimum_case: str
+    maximum: float
+    maximum_time: float
+    maximum_case: str
     rms: float
     rms_case: str
 
     @property
     def peak(self) -> float:
         """The largest magnitude."""
-        return max(abs(self.least), abs(self.most))
+        return max(abs(self.minimum), abs(self.maximum))
 
     @property
     def governing(self) -> tuple[str, float]:
         """The case and the time, s, of `peak`."""
-        if abs(self.least) > abs(self.most):
-            return self.least_case, self.least_time
-        return self.most_case, self.most_time
+        if abs(self.minimum) > abs(self.maximum):
+            return self.minimum_case, self.minimum_time
+        return self.maximum_case, self.maximum_time
 
 
 @dataclass(frozen=True)
@@ -316,8 +316,8 @@ def _range(load: Load, cases: Mapping[str, Trajectory], loads_of_cases: list[dic
         squares.append((_mean(values**2, run.time), case))
     # of all cases
     mean_square, rms_case = max(squares, key=itemgetter(0))
-    least, most = min(extremes, key=itemgetter(0)), max(extremes, key=itemgetter(0))
-    return LoadRange(*load, *least, *most, float(np.sqrt(mean_square)), rms_case)
+    minimum, maximum = min(extremes, key=itemgetter(0)), max(extremes, key=itemgetter(0))
+    return LoadRange(*load, *minimum, *maximum, float(np.sqrt(mean_square)), rms_case)
 
 
 def _mean(values: Array, time: Array) -> float:

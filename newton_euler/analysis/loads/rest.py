@@ -63,8 +63,8 @@ def rest_case(scene: Scene) -> Trajectory:
     Examples:
         >>> scene = load("tracker_gravity")
         >>> envelope = load_envelope(scene, {"weight": rest_case(scene)})
-        >>> up = [envelope.of(name, "actuator force").most for name in ("slide_12", "slide_13")]
-        >>> weight = sum(up) + envelope.of("hinge_14", "force z").most  # what actuators and hinge hold
+        >>> up = [envelope.of(name, "actuator force").maximum for name in ("slide_12", "slide_13")]
+        >>> weight = sum(up) + envelope.of("hinge_14", "force z").maximum  # what actuators and hinge hold
         >>> round(weight / 9.81, 3)  # kg
         1.482
     """

@@ -173,18 +173,18 @@ def test_ranges_of_sines():
     _, strong = swinging(0.2)
     envelope = load_envelope(scene, {"weak": weak, "strong": strong})
     axial = envelope.of("rail", "axial force")
-    assert (axial.most, axial.most_time, axial.most_case) == (pytest.approx(1.0, abs=1e-4), 0.125, "strong")
-    assert (axial.least, axial.least_time) == (pytest.approx(-1.0, abs=1e-4), 0.375)
+    assert (axial.maximum, axial.maximum_time, axial.maximum_case) == (pytest.approx(1.0, abs=1e-4), 0.125, "strong")
+    assert (axial.minimum, axial.minimum_time) == (pytest.approx(-1.0, abs=1e-4), 0.375)
     assert (axial.rms, axial.rms_case) == (pytest.approx(np.sqrt(0.5), abs=1e-6), "strong")
-    assert envelope.of("rail", "shear force").least == 3.0
+    assert envelope.of("rail", "shear force").minimum == 3.0
     total = envelope.of("rail", "force")
     assert (total.peak, total.governing[0]) == (pytest.approx(np.sqrt(10.0), abs=1e-4), "strong")
     peak = 0.2 * 4.0 * np.pi
     assert envelope.of("rail", "speed").peak == pytest.approx(peak)
     assert envelope.of("rail", "power").rms == pytest.approx(peak * np.sqrt(3.0 / 8.0), rel=1e-6)
     angle = 4.0 * np.pi * 0.001  # of an output: the trapezoidal rule has sin(angle) / angle of the integral
-    assert envelope.of("rail", "work").most == pytest.approx(0.5 * peak * np.sin(angle) / angle, rel=1e-6)
-    assert envelope.of("rail", "energy").most_time == 1.0
+    assert envelope.of("rail", "work").maximum == pytest.approx(0.5 * peak * np.sin(angle) / angle, rel=1e-6)
+    assert envelope.of("rail", "energy").maximum_time == 1.0
 
 
 def test_brakes_do_not_give_energy_back():
@@ -193,8 +193,8 @@ def test_brakes_do_not_give_energy_back():
     envelope = load_envelope(scene, run)
     assert envelope.cases == ("run",)
     # 0.1 w sin wt cos wt: 0.05 J to and fro in each of four quarters of two periods, by steps of 1 ms
-    assert envelope.of("rail", "work").most == pytest.approx(0.05, rel=1e-4)
-    assert envelope.of("rail", "energy").most == pytest.approx(0.2, rel=1e-4)
+    assert envelope.of("rail", "work").maximum == pytest.approx(0.05, rel=1e-4)
+    assert envelope.of("rail", "energy").maximum == pytest.approx(0.2, rel=1e-4)
 
 
 def test_at_rest_all_is_at_time_zero():
@@ -202,8 +202,8 @@ def test_at_rest_all_is_at_time_zero():
     envelope = load_envelope(scene, {"weight": rest_case(scene)})
     held = statics(scene)
     assert envelope.of("slide_12", "actuator force").rms == pytest.approx(held.actuator_force[0])
-    assert envelope.of("hinge_14", "force z").most == held.reaction_force[2, 2]
-    assert {each.most_time for each in envelope.joints} == {0.0}
+    assert envelope.of("hinge_14", "force z").maximum == held.reaction_force[2, 2]
+    assert {each.maximum_time for each in envelope.joints} == {0.0}
 
 
 def test_the_csv_has_all_ranges():
@@ -213,7 +213,7 @@ def test_the_csv_has_all_ranges():
     assert len(rows) == len(envelope.joints) == 16
     found = next(row for row in rows if row["quantity"] == "bending torque")
     assert (found["element"], found["unit"]) == ("pivot", "N m")
-    assert float(found["most"]) == envelope.of("pivot", "bending torque").most
+    assert float(found["maximum"]) == envelope.of("pivot", "bending torque").maximum
 
 
 @pytest.mark.parametrize(
@@ -274,7 +274,7 @@ def test_power_of_a_prescribed_drive_is_the_rate_of_energy():
     work = newton_euler.analysis.loads.envelope.actuator_loads(scene, run)[Load("motor", "work", "J")]
     energy = run.kinetic_energy + run.potential_energy
     assert work == pytest.approx(energy - energy[0], abs=1e-4 * np.ptp(energy))
-    assert envelope.of("motor", "speed").least == pytest.approx(30.0, rel=1e-9)
+    assert envelope.of("motor", "speed").minimum == pytest.approx(30.0, rel=1e-9)
     torque, axial = (envelope.of("motor", quantity) for quantity in ("actuator force", "axial torque"))
     assert (torque.peak, torque.unit) == (axial.peak, "N m")
 
@@ -286,4 +286,4 @@ def test_a_prescribed_slide_is_an_actuator_with_a_force():
     force = load_envelope(scene, run).of("rail", "actuator force")
     expected = -scene.mechanism.bodies[1].mass * 0.1 * 20.0**2 * np.sin(20.0 * run.time)
     assert force.unit == "N"
-    assert (force.least, force.most) == pytest.approx((expected.min(), expected.max()), rel=1e-9)
+    assert (force.minimum, force.maximum) == pytest.approx((expected.min(), expected.max()), rel=1e-9)
