@@ -113,10 +113,10 @@ def regress_command(
     click.echo(terminal(parts or tables(compared)), nl=False)
     for comparison in compared:
         say(comparison.verdict)
-        if versions := quiet_versions(comparison):
-            say(f"  {versions}")
         if comparison.scene in recordings:
             say(f"  recording: {recordings[comparison.scene]}")
+    if versions := quiet_versions(compared):
+        say(versions)
     for name, why in left_out.items():
         say(f"{name}: left out: {why}")
     say("wrote " + ", ".join(str(path) for path in written))

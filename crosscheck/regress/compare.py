@@ -156,12 +156,12 @@ class Comparison:
         return "".join(f"; {len(checks)} {word}" for word, checks in kinds if checks)
 
     @property
-    def changed_versions(self) -> list[str]:
-        """Versions that changed since the last update, such as "numpy 2.1.0 -> 2.2.0"."""
+    def changed_versions(self) -> dict[str, tuple[str, str]]:
+        """Packages whose version changed since the last update: the versions before and now, by name."""
         stored = self.last_update.versions
         names = dict.fromkeys([*stored, *self.versions])
-        pairs = ((name, stored.get(name, "none"), self.versions.get(name, "none")) for name in names)
-        return [f"{name} {was} -> {now}" for name, was, now in pairs if was != now]
+        pairs = {name: (stored.get(name, "none"), self.versions.get(name, "none")) for name in names}
+        return {name: (was, now) for name, (was, now) in pairs.items() if was != now}
 
     @property
     def verdict(self) -> str:
@@ -176,7 +176,8 @@ class Comparison:
                     f"{self.scene}: quiet: none of {count} checks fails against {baseline}{better}{left_out}"
                 )
             return f"{self.scene}: quiet: all {count} checks match {baseline}{left_out}"
-        since = ", ".join(self.changed_versions) or "no package version changed"
+        versions = [f"{name} {was} -> {now}" for name, (was, now) in self.changed_versions.items()]
+        since = ", ".join(versions) or "no package version changed"
         when = "" if self.diverges is None else f"; poses differ from {self.diverges:.6g} s on"
         moved = f"{len(self.moved)} of {count} checks fail against {baseline} ({self.last_update.reason})"
         settings = ""

@@ -9,7 +9,7 @@ improvements: "cheaper" or "more accurate". The level of a check is the name of 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -56,9 +56,17 @@ def tables(comparisons: Sequence[Comparison]) -> Iterator[Table]:
                 yield Table(f"{comparison.scene}: {title}", CHECK_COLUMNS, [*rows[:MAX_SHOWN_CHECKS], *more])
 
 
-def quiet_versions(comparison: Comparison) -> str:
-    """Name the package versions that changed although nothing moved; "" if none changed."""
-    changed = [] if comparison.moved else comparison.changed_versions
+def quiet_versions(comparisons: Iterable[Comparison]) -> str:
+    """Name the package versions that changed although nothing moved; "" if none changed.
+
+    The line of a scene that moved has the versions of its own baseline.
+    """
+    stored: dict[str, dict[str, str]] = {}
+    for comparison in comparisons:
+        if not comparison.moved:
+            for name, (was, now) in comparison.changed_versions.items():
+                stored.setdefault(f"{name} {{}} -> {now}", {})[was] = was
+    changed = [text.format(*was if len(was) == 1 else ("several",)) for text, was in stored.items()]
     return f"versions that changed since the baseline: {', '.join(changed)}" if changed else ""
 
 
@@ -145,7 +153,7 @@ def report(
     lines: list[str] = []
     all_checks: list[Part] = []
     for comparison in comparisons:
-        lines += filter(None, [comparison.verdict, quiet_versions(comparison)])
+        lines.append(comparison.verdict)
         if comparison.scene in recordings:
             lines.append(f"recording: {recordings[comparison.scene]}")
         rows: Rows = []
@@ -159,6 +167,7 @@ def report(
                 rows.append([what_acted(entry), Cell(f"from {entry.since:.4g} s on", unsimulated)])
         # folded: pages show the table on demand
         all_checks.append(Table(comparison.scene, CHECK_COLUMNS, rows, folded=True))
+    lines += filter(None, [quiet_versions(comparisons)])
     lines += [f"{name}: left out: {why}" for name, why in left_out.items()]
     result = outcome(comparisons)
     return Report(

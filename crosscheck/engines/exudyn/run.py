@@ -207,6 +207,8 @@ class Run:
         except exu.SolverError as error:
             raise self._failed(solver, step) from error
         except Exception as error:  # of functions in Python that Exudyn calls
+            if isinstance(error.__cause__, KeyboardInterrupt):  # of the user, or of a time limit
+                raise error.__cause__ from None
             raise self._raised(error) from error
         finally:
             self._add_work(powers, first)

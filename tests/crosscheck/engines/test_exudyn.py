@@ -372,6 +372,17 @@ def test_errors_of_laws_within_steps_stop_the_run(monkeypatch):
     np.testing.assert_allclose(caught.value.partial.time, [0.0, 0.1, 0.2])
 
 
+def test_an_interrupt_within_a_step_stays_an_interrupt(monkeypatch):
+    def interrupted(system, multipliers):
+        if system.time > 0.2:
+            raise KeyboardInterrupt
+        return 0.0
+
+    monkeypatch.setattr(RunningSystem, "power", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        simulate(driven_swing(PD("hinge", 8.0, 0.5, 0.6)))
+
+
 def test_work_is_integrated_with_order_four():
     errors = []
     for count in (50, 100):

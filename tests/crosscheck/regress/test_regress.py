@@ -275,8 +275,12 @@ def test_a_millionth_of_gravity_is_seen_in_every_engine(swing, measured):
 def test_versions_that_changed_are_named():
     made = UpdateRecord(date="2026-01-01", reason="first", versions={"python": "3.11.0", "numpy": "2.0.0"})
     found = Comparison("s", (), made, {"python": "3.11.0", "numpy": "2.1.0", "pin": "4.1"}, None, 0.0)
-    assert found.changed_versions == ["numpy 2.0.0 -> 2.1.0", "pin none -> 4.1"]
-    assert quiet_versions(found).endswith(": numpy 2.0.0 -> 2.1.0, pin none -> 4.1")
+    assert found.changed_versions == {"numpy": ("2.0.0", "2.1.0"), "pin": ("none", "4.1")}
+    assert quiet_versions([found]).endswith(": numpy 2.0.0 -> 2.1.0, pin none -> 4.1")
+    # baselines of several scenes: each package once
+    older = replace(found, last_update=replace(made, versions={"python": "3.11.0", "numpy": "1.9.0"}))
+    assert quiet_versions([found, older]).endswith(": numpy several -> 2.1.0, pin none -> 4.1")
+    assert quiet_versions([]) == ""
 
 
 # The command
