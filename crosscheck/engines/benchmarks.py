@@ -12,9 +12,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
 
+import numpy as np
+
 from crosscheck.support.errors import CrosscheckError
+from newton_euler.equations.system import System, at_time
+from newton_euler.integrators.options import Options as IntegratorOptions
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
+from newton_euler.runs.simulate import IntegratedStates, integrate_scene
 from newton_euler.scalars import Array
 
 Options = dict[str, Any]
@@ -147,6 +152,10 @@ ATOL_PER_RTOL = (1.0, 1e-2)
 FINEST_DECADE = 13.5
 """Negative decimal logarithm of the finest rtol, 3e-14. At finer tolerances round-off dominates."""
 
+PYTHON_DECADES = range(3, 14, 2)
+"""Negative decimal logarithms of the tolerances of equations that Python evaluates. At finer ones, steps of
+DOP853 fail on the round-off of equations with loops."""
+
 
 def tolerance_ladder(
     method: str, coarsest: float, finest: float, atol_per_rtol: float, per_decade: int = 2, **options: Any
@@ -168,6 +177,36 @@ def tolerance_ladder(
 
     numbers = range(round(coarsest * per_decade), round(finest * per_decade) + 1)
     return Ladder(f"{method}, atol = {atol_per_rtol:g} rtol", make_setting, numbers, options)
+
+
+def projected(make_system: Callable[[], System]) -> Model:
+    """Make the model of equations that Python evaluates: DOP853 with projection, at `PYTHON_DECADES`."""
+
+    def make_setting(number: int) -> tuple[str, Options]:
+        return f"rtol 1e-{number}", {"rtol": 10.0**-number, "atol": 10.0 ** -(number + 2)}
+
+    ladder = Ladder("DOP853", make_setting, PYTHON_DECADES, {})
+
+    def run(options: Options) -> Run:
+        return integrated(integrate_scene(make_system(), IntegratorOptions(**options)))
+
+    return Model([ladder], run)
+
+
+def integrated(found: IntegratedStates) -> Run:
+    """Return the timed run of integrated states; raises the error of a run that stopped.
+
+    Forward kinematics at the outputs are not part of its time. They take some 10 us each.
+    """
+    if found.stopped:
+        raise found.stopped
+
+    def poses() -> Poses:
+        """Evaluate the poses of the states."""
+        states = [at_time(each.system, each.time).state(each.q, each.v) for each in found.outputs]
+        return np.array([each.position for each in states]), np.array([each.quaternion for each in states])
+
+    return Run(found.wall_time, found.evaluations, poses)
 
 
 def step_ladder(method: str, option: str, interval: float, numbers: Sequence[int], **options: Any) -> Ladder:

@@ -29,6 +29,7 @@ from crosscheck.engines.registry import choose
 from crosscheck.library import SCENES, load
 from crosscheck.report.render import markdown_table
 from crosscheck.report.table import Column, Rows, Table, number_columns, text_columns
+from crosscheck.studies.benchmark.timing import rounded
 from crosscheck.studies.faults.find import SMALLEST_REQUIRED
 from newton_euler.model.scene import Scene
 
@@ -126,7 +127,7 @@ def times(folder: Path, engines: Iterable[Engine]) -> list[str]:
         found = json.loads(path.read_text())
         uncertainty = found["reference"]["uncertainty"]
         for error in ERRORS:
-            row = [found["scene"], f"{error:.0e}"]
+            row = [found["scene"], f"{error:.0e}".replace("e-0", "e-")]
             for engine in engines:
                 accurate = [
                     1e3 * median(each["times"])
@@ -134,7 +135,7 @@ def times(folder: Path, engines: Iterable[Engine]) -> list[str]:
                     if each["engine"] == engine.name
                     and max(each["error_position"], each["error_angle"], uncertainty) <= error
                 ]
-                row.append(f"{min(accurate):.3g}" if accurate else "-")
+                row.append(rounded(min(accurate)) if accurate else "-")
             rows.append([*row])
     columns: list[Column] = [*text_columns("scene"), *number_columns("error")]
     columns += number_columns(*(engine.label or engine.name for engine in engines))

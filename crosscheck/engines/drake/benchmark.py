@@ -19,23 +19,16 @@ from crosscheck.engines.benchmarks import (
     Model,
     Models,
     Options,
-    Poses,
     RightHandSide,
-    Run,
+    integrated,
     output_interval,
+    projected,
     step_ladder,
 )
 from crosscheck.engines.drake.equations import DrakeSystem
 from crosscheck.engines.drake.solvers import SolverName, integrate_with, limits_of_solver
-from newton_euler.equations.system import at_time
-from newton_euler.integrators.options import Options as IntegratorOptions
 from newton_euler.model.scene import Scene
 from newton_euler.reading.excitation import random_states
-from newton_euler.runs.simulate import IntegratedStates, integrate_scene
-
-TOLERANCES = range(3, 14, 2)
-"""Negative decimal logarithms of the tolerances of DOP853. At finer ones its steps fail on the round-off of
-equations with loops."""
 
 ACCURACIES = (3, 5, 7, 9, 11, 12, 13)
 """Negative decimal logarithms of the accuracies of `runge_kutta5`."""
@@ -55,7 +48,7 @@ def _models(scene: Scene) -> Models:
         for solver, ladder in own.items()
         if not limits_of_solver(scene, solver)
     }
-    return {"equations": partial(_equations, scene), **runs}
+    return {"equations": partial(projected, partial(DrakeSystem, scene)), **runs}
 
 
 def _accuracy(number: int) -> tuple[str, Options]:
@@ -63,38 +56,9 @@ def _accuracy(number: int) -> tuple[str, Options]:
     return f"accuracy 1e-{number}", {"accuracy": 10.0**-number}
 
 
-def _tolerances(number: int) -> tuple[str, Options]:
-    """Return name and options of a relative tolerance, by its negative decimal logarithm."""
-    return f"rtol 1e-{number}", {"rtol": 10.0**-number, "atol": 10.0 ** -(number + 2)}
-
-
-def _run(found: IntegratedStates) -> Run:
-    """Return the timed run of integrated states; raises the error of a run that stopped."""
-    if found.stopped:
-        raise found.stopped
-
-    def poses() -> Poses:
-        """Evaluate the poses of the states."""
-        states = [at_time(each.system, each.time).state(each.q, each.v) for each in found.outputs]
-        positions = [state.position for state in states]
-        return np.array(positions), np.array([state.quaternion for state in states])
-
-    return Run(found.wall_time, found.evaluations, poses)
-
-
-def _equations(scene: Scene) -> Model:
-    """Load a scene for DOP853 with Drake's equations."""
-    ladder = Ladder("DOP853", _tolerances, TOLERANCES, {})
-
-    def run(options: Options) -> Run:
-        return _run(integrate_scene(DrakeSystem(scene), IntegratorOptions(**options)))
-
-    return Model([ladder], run)
-
-
 def _own_model(scene: Scene, ladder: Ladder) -> Model:
     """Load a scene for a solver of Drake."""
-    return Model([ladder], lambda options: _run(integrate_with(scene, options)))
+    return Model([ladder], lambda options: integrated(integrate_with(scene, options)))
 
 
 def _right_hand_side(scene: Scene) -> RightHandSide:

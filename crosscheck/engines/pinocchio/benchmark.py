@@ -1,7 +1,7 @@
-"""Benchmarks of Pinocchio: scipy's LSODA with tolerances from coarse to fine.
+"""Benchmarks of Pinocchio: scipy's LSODA, and DOP853 with projection, with tolerances from coarse to fine.
 
-The time of a run is that of the integration, of forward kinematics at every output, and of copies of the
-translations and rotation matrices of all joints there.
+The time of a run of LSODA is that of the integration, of forward kinematics at every output, and of copies of
+the translations and rotation matrices of all joints there.
 """
 
 from __future__ import annotations
@@ -19,10 +19,12 @@ from crosscheck.engines.benchmarks import (
     Options,
     RightHandSide,
     Run,
+    projected,
     tolerance_ladder,
 )
 from newton_euler.model.scene import Scene
 from urdf.benchmark_kernels import Kinematics, articulated_bodies, equations_of, lsoda
+from urdf.dynamics import PinocchioSystem
 
 BAUMGARTE_ALPHAS = (0.0, 3.0, 10.0)
 """Parameters alpha, 1/s, of Baumgarte's stabilization, which feeds back constraint violations with the gains
@@ -33,14 +35,15 @@ With the scene `tracker`, 30 is not better than 10, and 100 makes the equations 
 
 
 def _models(scene: Scene) -> Models:
-    """Return functions that load a scene into Pinocchio with each of `BAUMGARTE_ALPHAS`.
+    """Return functions that load a scene into Pinocchio with each of `BAUMGARTE_ALPHAS`, and with projection.
 
     Accelerations come from Pinocchio's `constraintDynamics`. Those of `lcaba`, Pinocchio's articulated-body
     algorithm with constraints, have noise of 1e-9, at which integrators with error control stall.
     """
-    return {
+    compiled = {
         f"constraintDynamics, alpha {alpha:g}": partial(_load, scene, alpha) for alpha in BAUMGARTE_ALPHAS
     }
+    return {**compiled, "projection": partial(projected, partial(PinocchioSystem, scene))}
 
 
 def _load(scene: Scene, alpha: float) -> Model:

@@ -173,7 +173,8 @@ def test_ranges_of_sines():
     _, strong = swinging(0.2)
     envelope = load_envelope(scene, {"weak": weak, "strong": strong})
     axial = envelope.of("rail", "axial force")
-    assert (axial.maximum, axial.maximum_time, axial.maximum_case) == (pytest.approx(1.0, abs=1e-4), 0.125, "strong")
+    assert axial.maximum == pytest.approx(1.0, abs=1e-4)
+    assert (axial.maximum_time, axial.maximum_case) == (0.125, "strong")
     assert (axial.minimum, axial.minimum_time) == (pytest.approx(-1.0, abs=1e-4), 0.375)
     assert (axial.rms, axial.rms_case) == (pytest.approx(np.sqrt(0.5), abs=1e-6), "strong")
     assert envelope.of("rail", "shear force").minimum == 3.0
