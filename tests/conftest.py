@@ -17,6 +17,7 @@ import pytest
 from command_line import EXAMPLE, short_example
 from compiler import Compiler
 from hostile_process import Server
+from slow_variants import slow_variants
 
 import mjcf.reading.source
 import newton_euler
@@ -69,6 +70,15 @@ def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> 
     module = SkippedModule.from_parent(parent, path=module_path)
     module.extra = extra
     return module
+
+
+@pytest.hookimpl(tryfirst=True)  # before pytest selects by marks
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the slow variants of tests whose other variants are fast."""
+    names = slow_variants()
+    for item in items:
+        if item.nodeid in names:
+            item.add_marker(pytest.mark.slow)
 
 
 @pytest.hookimpl(wrapper=True)

@@ -57,6 +57,7 @@ class TestHostile:
     def test_constructors(self):
         assert faults_of(constructors(), FEW) == []
 
+    @pytest.mark.slow
     def test_functions(self, folder: Path):
         assert faults_of([each for each in functions(folder) if not each.is_long], FEW) == []
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from slow_variants import slow_variants
 
 from crosscheck.engines.registry import ENGINES
 
@@ -275,3 +276,10 @@ def test_names_of_engines_are_found_in_code_and_not_in_docstrings():
     )
     found = {text for _, text in named_engines(source)}
     assert found == {"mujoco", "of_drake", "exudyn", "newton_euler", "pinocchio"}
+
+
+@pytest.mark.slow  # collects all tests
+def test_slow_variants_are_variants():
+    command = [sys.executable, "-m", "pytest", "--collect-only", "-q", "-m", "slow"]
+    collected = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    assert slow_variants() <= set(collected.splitlines())

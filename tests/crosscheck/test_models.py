@@ -35,6 +35,7 @@ FALLING = "<mujoco><worldbody>{}</worldbody></mujoco>"
 BALL = '<body name="b{0}" pos="0 0 0.3{0}"><freejoint/><geom size="0.1" contype="0" conaffinity="0"/></body>'
 
 
+@pytest.mark.slow
 def test_a_motion_that_tests_nothing_is_no_plain_agreement(capsys, tmp_path):
     """In free fall no mass and no inertia shows; the table lists all of them, the terminal counts."""
     path, out = tmp_path / "balls.xml", tmp_path / "out"

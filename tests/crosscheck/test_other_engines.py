@@ -81,6 +81,7 @@ def broken(*_):
     raise RuntimeError("no license")
 
 
+@pytest.mark.slow
 def test_stress_tests_of_an_engine_that_cannot_express_all(with_engines, capsys, monkeypatch, tmp_path):
     unusable = replace(TOY, name="unusable", stress_settings=broken)
     toy = replace(TOY, limits=no_loops, stress_settings=None)  # by its default run alone

@@ -116,6 +116,7 @@ def test_rows_of_bars_hop_over_flat_configurations():
     assert np.abs(urdf.simulate(scene).position - newton_euler.simulate(scene).position).max() < 1e-7
 
 
+@pytest.mark.slow
 def test_a_linkage_that_locks_is_given_up_soon(locking):
     """Not only when steps are as short as a double can hold, a thousand of them later."""
     with pytest.raises(IntegrationError, match=r"steps have become too small; .*fastest at joint 'motor'"):

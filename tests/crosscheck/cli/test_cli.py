@@ -31,6 +31,7 @@ def test_matrices_have_one_thread_unless_the_user_says_otherwise(chosen):
     assert done.stdout.splitlines()[1:] == [chosen or "1"], done.stderr
 
 
+@pytest.mark.slow
 def test_a_run_spends_no_time_on_pandas_or_the_search_for_cycles(tmp_path):
     code = """
         import atexit, gc, sys

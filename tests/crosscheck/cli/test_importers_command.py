@@ -305,6 +305,7 @@ def test_loops_in_another_order_are_paired_by_their_points(file, names):
     assert results(found) == {"MuJoCo": "SAME", "Pinocchio": "SAME"}
 
 
+@pytest.mark.slow
 def test_an_mjcf_and_a_urdf_file_of_one_name_have_folders_of_their_own(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     body = '<body name="link"><joint name="j" axis="1 0 0"/><geom size="0.1"/></body>'

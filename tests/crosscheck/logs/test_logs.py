@@ -371,6 +371,7 @@ def test_rows_at_any_times_and_from_any_time(four_bar):
     assert judged(four_bar, table | {"time": table["time"] + 1.7e9}).error.relative < 2e-4
 
 
+@pytest.mark.slow
 def test_inputs_of_the_log(four_bar):
     path, scene, names, *_ = four_bar
     model, (time, q, v, *_, control) = run_of(

@@ -81,6 +81,7 @@ def run(suite, *arguments):
     return suite.runpytest_inprocess("--disable-plugin-autoload", "-p", "crosscheck", *arguments)
 
 
+@pytest.mark.slow
 def test_models_that_agree_pass_and_others_name_the_engine_and_keep_the_recording(suite):
     done = suite.runpytest_subprocess("-k", "arm or odd")
     done.assert_outcomes(passed=1, failed=1)

@@ -147,6 +147,7 @@ def test_ways_of_long_moves_are_examined():
     assert ways.checks.to_singular[0] <= middle.independence(KEYS)[0] + 1e-9
 
 
+@pytest.mark.slow
 def test_a_day_tells_what_is_blocked(day):
     assert not (day.faces & day.faced.replaced).any()
     turned = day.error_parts["obstacles"]

@@ -279,6 +279,7 @@ def short(tracker):
     return poses_only(dataclasses.replace(tracker, duration=0.045))  # a last output out of period
 
 
+@pytest.mark.slow
 def test_every_engine_and_setting_on_a_short_scene(short, monkeypatch):
     monkeypatch.setattr(work_precision, "MIN_REPEATS", 1)
     monkeypatch.setattr(work_precision, "SETTING_TIME", 0.0)

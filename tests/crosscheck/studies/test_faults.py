@@ -127,6 +127,7 @@ def test_motion_alone_finds_them_too(found):
     assert count.located > 0.9 * count.total
 
 
+@pytest.mark.slow
 def test_what_no_motion_shows(found):
     """A body that turns about its y axis alone feels the y column of its inertia and no other entry."""
     hidden = {

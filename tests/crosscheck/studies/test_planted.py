@@ -74,9 +74,8 @@ def test_a_change_alters_what_its_name_says(kind, read, factor):
         assert sum(ratio != pytest.approx(1.0, rel=1e-9) for ratio in ratios) == 1
 
 
-@pytest.mark.parametrize(
-    "text", [pytest.param(ARM, id="arm"), pytest.param(LINKAGE, id="linkage", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("text", [pytest.param(ARM, id="arm"), pytest.param(LINKAGE, id="linkage")])
 def test_all_cases_of_a_small_robot_are_right(text, tmp_path):
     path, folder = tmp_path / "robot.xml", tmp_path / "changed"
     path.write_text(text)

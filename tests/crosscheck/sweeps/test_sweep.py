@@ -99,6 +99,7 @@ def test_runs_are_probed_by_few_and_without_what_is_compiled(monkeypatch, of_a_r
     assert rate == pytest.approx(1.0 / max(of_a_run, 1e-3 / 50))
 
 
+@pytest.mark.slow
 def test_executors_give_the_same(reference, tmp_path):
     with ThreadPoolExecutor(2) as threads:
         assert_equal(sweep(*ARGUMENTS, executor=threads), reference)

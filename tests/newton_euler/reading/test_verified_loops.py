@@ -59,6 +59,7 @@ def offset(gap: float) -> str:
     )
 
 
+@pytest.mark.slow
 def test_offsets_that_loops_keep_hide_no_fault(tmp_path: Path) -> None:
     """Faults of a millionth are seen, in the same figures, as they are with the loop closed."""
     seen = []
