@@ -43,7 +43,7 @@ def _models(scene: Scene) -> Models:
     compiled = {
         f"constraintDynamics, alpha {alpha:g}": partial(_load, scene, alpha) for alpha in BAUMGARTE_ALPHAS
     }
-    return {**compiled, "projection": partial(projected, partial(PinocchioSystem, scene))}
+    return {"projection": partial(projected, partial(PinocchioSystem, scene)), **compiled}
 
 
 def _load(scene: Scene, alpha: float) -> Model:

@@ -29,7 +29,7 @@ LADDER_TIME_LIMIT = 1.5
 RUN_TIME_LIMIT = 3.0
 """CPU time of a run, s, after which the run is aborted."""
 
-ENGINE_TIME_LIMIT = 20.0
+ENGINE_TIME_LIMIT = 40.0
 """CPU time of an engine, s, after which no further method of the engine is tried."""
 
 SETTING_TIME = 0.15
