@@ -75,7 +75,7 @@ def folder(tmp_path, monkeypatch):
 
 def write_files(page: str, folder: Path) -> None:
     """Write the files of a page into a folder."""
-    for language in ("xml", "yaml", "python", "toml"):
+    for language in ("xml", "yaml", "python", "toml", "csv"):
         for _, title, text in blocks(page, language):
             if title:
                 (folder / title).write_text(text)

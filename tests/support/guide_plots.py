@@ -14,12 +14,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from page_tables import page_table
+from scipy.spatial.transform import Rotation
 
 import mjcf
 import newton_euler
 from crosscheck.library import load
+from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker
+from crosscheck.solar.base import Base, following_on_base
+from crosscheck.solar.place import Place, day_times, sun_over
 from crosscheck.support.colors import BLUE, OTHER_COLORS, VERMILION
-from newton_euler import Sine, on_moving_base
+from newton_euler import Polynomial, Sine, on_moving_base
 
 ROOT = Path(__file__).parents[2]
 
@@ -389,6 +393,53 @@ def logs_examples() -> Figure:
     return figure
 
 
+def assembly_branches() -> Figure:
+    """Draw the assembly branches of the four-bar with the same angle of its motor."""
+    scene = load(str(ROOT / "examples" / "four_bar.yaml"))
+    branches = newton_euler.assembly_branches(scene, {"motor": 0.3})
+    tips = {"crank": [0.0, 0.0, 0.2], "rocker": [0.6, 0.1, 0.3]}  # of the mechanism as drawn, m
+    elbow, wrist = (
+        branches.poses.positions(newton_euler.Point(body, tip))[:, ::2] for body, tip in tips.items()
+    )
+    figure, (ax,) = side_by_side(1, 3.6)
+    for k, color, style in (
+        (0, BLUE, "o-"),
+        (2, VERMILION, "o--"),
+    ):  # 1 and 3 differ by a turn of the coupler
+        points = [[0.0, 0.0], elbow[k], wrist[k], [0.6, 0.0]]
+        label = f"branch {k}"
+        ax.plot(*np.transpose(points), style, color=color, linewidth=3, label=label)
+    ax.set(xlabel="x, m", ylabel="z, m", aspect="equal")
+    ax.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
+def sun_on_ship() -> Figure:
+    """Plot the sliders of a tracker on a ship, and its pointing errors with compensation and without."""
+    sun = sun_over(Place(11.56, 104.92), day_times("2026-03-21", "UTC+07:00", 3600.0))
+    towards, period, count = sun.direction[12], 0.25, 81
+    ship = Base({"roll": Sine(0.1, 2.0 * np.pi / 8.0), "yaw": Polynomial((0.0, 0.01))})
+    wanted = {
+        "with compensation": (np.tile(towards, (count, 1)), BLUE, "-"),
+        "without": (ship.rotations(period * np.arange(count)) @ towards, VERMILION, "--"),
+    }
+    figure, (left, right) = side_by_side(2)
+    for label, (directions, color, style) in wanted.items():
+        scene, _ = following_on_base(sun_tracker(), PANEL_NORMAL, directions, ship, period)
+        run = newton_euler.simulate(scene)
+        turns = Rotation.from_quat(run.quaternion[:, run.body_names.index("panel_7")], scalar_first=True)
+        error = np.arccos(np.clip(turns.apply(PANEL_NORMAL.axis) @ towards, -1.0, 1.0))
+        right.plot(run.time, np.degrees(error), style, color=color, label=label)
+        if label == "with compensation":
+            for slide in ("slide_12", "slide_13"):
+                left.plot(run.time, 1e3 * run.joint(slide).coordinates[:, 0], label=slide)
+    left.set(xlabel="time, s", ylabel="position, mm")
+    right.set(xlabel="time, s", ylabel="pointing error, degrees")
+    for ax in (left, right):
+        ax.legend(fontsize="small")
+    return figure
+
+
 GAIN = re.compile(
     r"^(\d+(?:\.\d+)?) N, 0 E +2026-(\d\d)-\d\d +\S+ +\S+ +\S+ +(\S+) +(\S+) +(\S+) +\S+$", re.MULTILINE
 )
@@ -436,6 +487,8 @@ GUIDE_PLOTS: dict[str, Callable[[], Figure]] = {
     "plot_sun_gain": sun_gain,
     "plot_load_cases": load_cases,
     "plot_logs_examples": logs_examples,
+    "plot_assembly_branches": assembly_branches,
+    "plot_sun_on_ship": sun_on_ship,
 }
 """Functions that draw plots, by the name of the picture."""
 
