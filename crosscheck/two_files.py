@@ -49,7 +49,7 @@ class Diff(Shown):
 
     @property
     def differences(self) -> tuple[Difference, ...]:
-        """True differences, the largest effect on motion first; rounding is not among them."""
+        """Differences beyond rounding, the largest effect on motion first."""
         return self.comparison.differences
 
     @property

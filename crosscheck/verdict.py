@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Verdict(Shown):
-    """Result of a crosscheck: outcome, checks, trajectories and report.
+    """Result of a crosscheck: outcome, checks, trajectories and report. `print(verdict)` prints the report.
 
     Attributes:
         crosscheck: the complete result.
@@ -143,7 +143,8 @@ class Verdict(Shown):
         causes, and settings with a smaller error. `crosscheck run --max-error` makes the same checks.
 
         Args:
-            max_error: largest relative error, a fraction of the motion; None for no limit.
+            max_error: largest relative error, a fraction of the motion; 0.001 (0.1 %) if not given, None for
+                no limit.
             position: largest error of a center of mass, m.
             rotation: largest error of an orientation, rad.
             opening: largest distance between the ends of a loop constraint, m.
@@ -214,14 +215,15 @@ def check(
         model: name of a scene of the library, path of a scene file, MJCF or URDF, or an object: a `Scene`, an
             `MjSpec` or `MjModel` of MuJoCo, or a `Model` of Pinocchio. A `Model` may be paired with its
             constraints, see `urdf.read`.
-        engines: names of the engines. If an engine cannot represent the model, the outcome is not `AGREE`.
+        engines: names of the engines, by default "newton_euler", "mujoco" and "pinocchio". If an engine
+            cannot represent the model, the outcome is not `AGREE`.
         advice: True to compute advice on redundant constraints.
         runs: runs of other simulators by name. Each is compared with a run of newton_euler from the same
             initial state. A run is a CSV or Parquet file, a DataFrame, a mapping of columns, or a `Log` of
             these with options. It may also be a function from a `State` and times (n,), s, to n states.
         progress: function that is called with a message before each stage.
-        options: options of the scene or file, as `crosscheck list` shows them. For a `Model`, `q` is the
-            configuration from which the run starts.
+        options: options of the scene or file by name, such as `N=3` of "chain" or `duration=2`; `crosscheck
+            list` shows them. For a `Model`, `q` is the configuration from which the run starts.
 
     Returns:
         The verdict.

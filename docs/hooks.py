@@ -10,6 +10,7 @@ import html
 import re
 import subprocess
 from collections.abc import Iterator
+from functools import cache, partial
 from importlib import metadata
 from inspect import cleandoc
 from pathlib import Path
@@ -19,6 +20,7 @@ from latex2mathml.converter import convert
 
 if TYPE_CHECKING:
     from mkdocs.config.defaults import MkDocsConfig
+    from mkdocs.structure.files import Files
     from mkdocs.structure.pages import Page
 
 DOCS = Path(__file__).parent
@@ -53,7 +55,7 @@ COMMANDS = re.compile("<!-- commands: (.+) -->")
 """Place in a page that takes the help of the commands of a task."""
 
 TABLE_OF_COMMANDS = "<!-- table of commands -->"
-"""Place in a page that takes a table of all commands with links."""
+"""Place in a page that takes tables of all commands with links, one for each task."""
 
 EXPLANATIONS = re.compile("<!-- explanations: (.+) -->")
 """Place in a page that takes the texts of `crosscheck explain` on a topic."""
@@ -63,6 +65,18 @@ INDEX_OF_NAMES = "<!-- index of names -->"
 
 NAME = re.compile(r"^::: (\S+)\n(?: +options:\n(?: +(?:heading: (.+)|.*)\n)*)?", re.MULTILINE)
 """A name that mkdocstrings documents, and its heading if it is not the name."""
+
+MEMBERS = re.compile(r"^ +members: \[(.+)\]", re.MULTILINE)
+"""Members of a name that mkdocstrings documents, too."""
+
+NAMES_FOLDER = "reference/python/"
+"""Folder of the pages of Python names."""
+
+MENTIONED = re.compile(r"<(a|autoref|pre|h[1-6])\b.*?</\1>|<code>([\w.]+)</code>", re.DOTALL)
+"""A name in a sentence, or an element in which names are not linked."""
+
+WORD_OF_TERM = r"(?<=--)[\w-]+|^\w+"
+"""The words by which the term of an option or argument is known, such as "verbose" of "-v, --verbose"."""
 
 HELP_WIDTH = 80
 """Width of the help of commands, characters, as terminals have it."""
@@ -111,7 +125,7 @@ def explanations(topic: str) -> Iterator[str]:
 
 
 def table_of_commands() -> Iterator[str]:
-    """Yield the lines of a table of all commands, with links to the pages of their tasks."""
+    """Yield the lines of a table of the commands of each task, with links to the page of the task."""
     from crosscheck.cli.help import TASKS
     from crosscheck.cli.shared import cli
 
@@ -120,11 +134,12 @@ def table_of_commands() -> Iterator[str]:
         for page in (DOCS / "reference" / "commands").glob("*.md")
         for task in COMMANDS.findall(page.read_text())
     }
-    yield "| task | command | what the command does |\n|---|---|---|"
     for task, names in TASKS.items():
+        yield f"### {task}\n\n| command | what the command does |\n|---|---|"
         for name in names:
             what = cli.commands[name].get_short_help_str(limit=200)
-            yield f"| {task} | [`{name}`](commands/{pages[task]}#crosscheck-{name}) | {what} |"
+            yield f"| [`{name}`](commands/{pages[task]}#crosscheck-{name}) | {what} |"
+        yield ""
 
 
 def commands(task: str) -> Iterator[str]:
@@ -143,16 +158,29 @@ def commands(task: str) -> Iterator[str]:
             inner = command.context_class(command, info_name=name, parent=context)
             formatter = inner.make_formatter()
             command.format_usage(inner, formatter)
-            command.format_options(inner, formatter)
+            sections = command.sections(inner)
         yield f"```text\n{formatter.getvalue()}```\n"
+        for heading, rows in sections.items():
+            yield f"**{heading}**\n"
+            for term, text in rows:
+                anchor = f"{name}-{re.findall(WORD_OF_TERM, term)[-1]}"
+                yield f"- [`{term}`](#{anchor}){{ #{anchor} }}: {markdown_text(text)}"
+            yield ""
         lines = [f"# {what}\n$ {line}\n" for what, line in command.examples.items()]
         yield f"```console\n{''.join(lines)}```\n"
+
+
+def markdown_text(text: str) -> str:
+    """Return a text of a help page as Markdown, in which `*`, `<` and `[` have no meaning."""
+    parts = text.split("`")
+    parts[::2] = [re.sub(r"([*\[\]])", r"\\\1", html.escape(part, quote=False)) for part in parts[::2]]
+    return "`".join(parts)
 
 
 def index_of_names(config: MkDocsConfig) -> Iterator[str]:
     """Yield the lines of a table of the names that the pages of the Python reference document."""
     yield "| page | names |\n|---|---|"
-    for path in pages_of(config.nav, "reference/python/"):
+    for path in pages_of(config.nav, NAMES_FOLDER):
         text = (DOCS / path).read_text()
         title, page = text.partition("\n")[0].removeprefix("# "), path.removeprefix("reference/")
         links = []
@@ -174,13 +202,54 @@ def pages_of(nav: object, folder: str) -> Iterator[str]:
         yield from pages_of(entry, folder)
 
 
-def on_page_content(content: str, page: Page, **_: object) -> str:
-    """Convert formulas, mark the commands of console blocks, and fold long tables of results."""
+def on_page_content(content: str, page: Page, files: Files, **_: object) -> str:
+    """Convert formulas, mark the commands of console blocks, link Python names, and fold long tables."""
     content = FORMULA.sub(mathematics, content)
     content = CODE.sub(copied, content)
     if page.file.src_uri.startswith("results/"):
         content = TABLE.sub(folded, content)
+    if page.file.src_uri.startswith(NAMES_FOLDER):
+        content = MENTIONED.sub(partial(linked, places_of_names(), page, files), content)
     return content
+
+
+@cache
+def places_of_names() -> dict[str, tuple[str, str]]:
+    """Return the page and the anchor of each documented Python name and its members, by their spellings.
+
+    A name is spelled with its module, with its package, and, if it is a class, alone. A name that several
+    packages have is spelled alone nowhere.
+    """
+    places: dict[str, tuple[str, str]] = {}
+    spelled_alone: dict[str, list[tuple[str, str]]] = {}
+    for path in sorted((DOCS / NAMES_FOLDER).glob("*.md")):
+        uri, text = path.relative_to(DOCS).as_posix(), path.read_text()
+        for entry in NAME.finditer(text):
+            full = entry[1]
+            members = [name.strip() for found in MEMBERS.findall(entry[0]) for name in found.split(",")]
+            package, last = full.partition(".")[0], full.rpartition(".")[2]
+            for suffix in ("", *(f".{member}" for member in members)):
+                place = uri, full + suffix
+                places[full + suffix] = places[f"{package}.{last}{suffix}"] = place
+                if last[0].isupper():
+                    spelled_alone.setdefault(last + suffix, []).append(place)
+    return places | {name: found[0] for name, found in spelled_alone.items() if len(found) == 1}
+
+
+def linked(places: dict[str, tuple[str, str]], page: Page, files: Files, mention: re.Match[str]) -> str:
+    """Return a mentioned Python name with a link to its description.
+
+    Args:
+        places: page and anchor by name.
+        page: page with the name.
+        files: all files of the site.
+        mention: the name, or an element that stays as it is.
+    """
+    uri, anchor = places.get(mention[2] or "", ("", ""))
+    file = files.get_file_from_path(uri) if uri else None
+    if file is None:
+        return mention[0]
+    return f'<a href="{file.url_relative_to(page.file)}#{anchor}">{mention[0]}</a>'
 
 
 def mathematics(formula: re.Match[str]) -> str:

@@ -76,7 +76,8 @@ class Reading:
 
     Attributes:
         scene: imported scene.
-        report: import report: for each element of the file, what the element became or why it is left out.
+        report: import report: for each element of the file, what the element became or why it is left out,
+            see `ImportReport`.
         start: MuJoCo's model and data at the start state, without contacts, limits and dry friction.
         drives: actuators whose controls excitation can vary, by number of the actuator, with the range in
             which no limit is exceeded.
@@ -101,9 +102,10 @@ def read(
         model: path of the file, or an `MjSpec` or `MjModel` in its present state.
         key: name of the keyframe to start from, or "qpos0". None means the first keyframe, or "qpos0" if the
             model has no keyframe.
-        root: folder that must contain all files that the file refers to, see `mjcf.reading.source`.
-        options: duration, output period, excitation and other options of the scene, see
-            `newton_euler.model.source_file.Request`.
+        root: folder that must contain all files that the file refers to. None means the file's own folder for
+            included files, and the parent of this folder for meshes and textures.
+        options: `duration`, `output_period`, `excitation`, `friction`, `limits` and other options of the
+            scene, see `ReadOptions`.
 
     Raises:
         MjcfError: for a model that cannot be read or verified, with file or model name and element.

@@ -74,13 +74,13 @@ def simulate(
     """Simulate a scene in MuJoCo, with soft constraints and native actuators, springs and tendons.
 
     Reactions at an output come from MuJoCo's forward dynamics at that state. If the scene tracks the work of
-    forces without potential, the work is that of the forces that the steps apply, see `mjcf.soft`.
+    forces without potential, the work is that of the forces that the steps apply.
 
     Args:
         scene: scene to simulate.
         timestep: s, a divisor of the output period and of the periods of sampled controllers. None means the
             largest divisor up to 1 ms; a shorter last output interval has shorter steps.
-        integrator: one of `INTEGRATORS`.
+        integrator: MuJoCo's "RK4", "Euler", "implicit" or "implicitfast".
         solref: stiffness of loop closures, couplings and prescribed motions: time constant (s) and damping
             ratio, or stiffness and damping as negative numbers. None means (2 timestep, 1), the stiffest
             constraints that MuJoCo allows.
@@ -88,7 +88,7 @@ def simulate(
             "PGS" (projected Gauss-Seidel).
         iterations: largest number of iterations of the solver in one evaluation.
         tolerance: relative improvement at which the solver ends its iteration.
-        backend: implementation that takes the steps: "C", or "MJX" in JAX, see `mjcf.mjx`. Outputs are
+        backend: implementation that takes the steps: "C", or "MJX" in JAX. Outputs are
             evaluated in C. Commands of crosscheck take "C", as MJX compiles each model for up to a minute.
 
     Raises:

@@ -25,10 +25,14 @@ class UrdfError(NewtonEulerError):
 
 
 class NameClashError(UrdfError):
-    """Scene whose URDF would have two links or two joints of the same name."""
+    """Scene whose URDF would have two links or two joints of the same name.
+
+    Attributes:
+        what: "link" or "joint".
+        name: the name that two of them would have.
+    """
 
     def __init__(self, what: str, name: str) -> None:
-        """Make the error for `what`, "link" or "joint", and the name that two of them would have."""
         self.what = what
         self.name = name
         super().__init__(f"two URDF {what}s would be named {name!r}; rename a body or a joint")
@@ -38,10 +42,14 @@ class LoopFileError(UrdfError):
     """Loop file with a missing or invalid entry; the message names file and key.
 
     A loop file is a YAML file with what a URDF cannot describe: closed loops and ball joints.
+
+    Attributes:
+        source: path of the loop file.
+        key: the key with the invalid entry.
+        problem: what is wrong.
     """
 
     def __init__(self, source: str, key: str, problem: str) -> None:
-        """Make the error for a key of the loop file `source`."""
         self.source = source
         self.key = key
         self.problem = problem

@@ -74,7 +74,8 @@ class Reading:
 
     Attributes:
         scene: imported scene.
-        report: import report: for each element, what the element became or why it is left out.
+        report: import report: for each element, what the element became or why it is left out, see
+            `ImportReport`.
     """
 
     scene: Scene
@@ -142,8 +143,8 @@ def read(
         own_run: settings of the loop in which you simulate the model: path of a YAML file, YAML text in
             braces, or a mapping, see `urdf.run_settings`. None for the settings of Pinocchio's examples, and
             the Baumgarte gains of a model's constraints.
-        options: duration, output period, excitation and other options of the scene, see
-            `newton_euler.model.source_file.Request`. The scene is verified without excitation.
+        options: `duration`, `output_period`, `excitation`, `friction`, `limits` and other options of the
+            scene, see `ReadOptions`. The scene is verified without excitation.
 
     Raises:
         UrdfError: for a model that cannot be read or verified, with file or model name and element.

@@ -35,11 +35,11 @@ def simulate(
 
     Args:
         scene: scene to simulate, passed to Pinocchio as URDF and loop file.
-        integrator: one of `newton_euler.integrators.options.INTEGRATORS`.
+        integrator: "DOP853", "Radau", "RK4" or "Euler", as of `newton_euler.simulate`.
         stabilization: how loops stay closed: "projection" onto the constraints after each step, "baumgarte"
             (Pinocchio's corrector gains) or "none".
         alpha: parameter, 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2; None for 10.
-        control: options of the steps, see `newton_euler.simulate`.
+        control: options of the steps, see `StepControl`.
 
     Raises:
         NewtonEulerError: for an unknown name, an impossible option, or a run that stops early.

@@ -53,8 +53,8 @@ def controllers_command(
 ) -> int:
     """Compare controllers by tracking error, effort and energy.
 
-    A scene with the option `controller` is simulated with each value of the option, in each engine. The
-    default scene has 12 runs, which take some minutes.
+    A scene with the option `controller` is simulated with each value of the option, in each engine. In the
+    library only the default scene has the option; its 12 runs take some minutes.
 
     The exit status is 3 if an engine cannot make one of the runs.
     """

@@ -88,16 +88,19 @@ class Command(click.Command):
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write arguments, and options by group."""
-        if self.arguments:
-            with formatter.section("Arguments"):
-                formatter.write_dl(list(self.arguments.items()))
+        for heading, rows in self.sections(ctx).items():
+            with formatter.section(heading):
+                formatter.write_dl(rows)
+
+    def sections(self, ctx: click.Context) -> dict[str, list[tuple[str, str]]]:
+        """Return terms and texts of the arguments, and of the options by group, by heading."""
         options = [each for each in self.get_params(ctx) if isinstance(each, click.Option)]
         rows = {each.opts[-1]: row for each in options if (row := each.get_help_record(ctx))}
+        sections = {"Arguments": list(self.arguments.items())} if self.arguments else {}
         for heading, names in self.groups.items():
-            with formatter.section(heading):
-                formatter.write_dl([rows.pop(name) for name in names])
-        with formatter.section("Options"):
-            formatter.write_dl(list(rows.values()))
+            sections[heading] = [rows.pop(name) for name in names]
+        sections["Options"] = list(rows.values())
+        return sections
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the examples."""

@@ -135,7 +135,9 @@ def bench_command(
     "letters",
     default="",
     metavar="LETTERS",
-    help="Letters of the topics to run, such as bf.  [default: all]",
+    help="Letters of the topics to run, such as bf: a long runs, b large steps, c stiff gains, d mass "
+    "ratios, e open starts, f singular configurations, g fast rotation, h random mechanisms, "
+    "i floating-point traps, j noise.  [default: all]",
 )
 def stress_command(full: bool, engines: list[str] | None, output: Path, letters: str) -> int:
     """Stress-test engines with extreme parameter values.

@@ -86,7 +86,8 @@ from crosscheck.support.errors import CrosscheckError
 @click.option(
     "--base",
     metavar="NAME=DEGREES,...",
-    help="Orientation of the base at rest: heading of its x axis, roll and pitch.",
+    help="Orientation of the base at rest: heading of its x axis from north to the east, roll and pitch, "
+    "such as heading=80,pitch=5.",
 )
 @click.option(
     "--speed",

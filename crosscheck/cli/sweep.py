@@ -59,7 +59,8 @@ from crosscheck.cli.shared import (
     multiple=True,
     required=True,
     metavar="KIND:OUTPUT,...",
-    help="Outputs to store for each run, such as peak:reaction_force,final:panel_7.quaternion. Repeatable.",
+    help="Outputs to store for each run, such as peak:reaction_force,final:panel_7.quaternion. Kinds: final, "
+    "peak, rms, mean, minimum, maximum, range, at(TIME; ...), when. Repeatable.",
 )
 @click.option(
     "--sampling",

@@ -92,14 +92,15 @@ class Check:
     """A compared value, its tolerance, and the place of the largest difference.
 
     Attributes:
-        level: one of `LEVELS` or `REFERENCE`.
+        level: group of the check: "reading", "model", "kinematics", "dynamics", "accelerations and
+            reactions", "trajectories", "drift", "energy" or "reference".
         quantity: compared quantity, with its unit.
-        between: one or two names of engines or systems (formulations of an engine), or an engine and `FILE`.
+        between: one or two names of engines or systems (formulations of an engine), or an engine and "file".
         value, tolerance: value, and the largest value that passes.
         where: body, joint, term or time of the largest difference.
         judged: False for a check that can neither pass nor fail: the value is for information only (such as a
             condition number), or an engine is `unconverged`.
-        unconverged: name of the engine whose refined run (`ERROR_PER_CHANGE`) reduces the value too little;
+        unconverged: name of the engine whose refined run reduces the value too little;
             such a check is not judged. Empty if there is none.
         detail: the values that differ, as text; empty if unknown.
     """

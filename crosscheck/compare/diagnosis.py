@@ -57,7 +57,8 @@ class Diagnosis:
             two differing participants, the other one is nearer to a third. "reference": reference values.
             "own": several participants fail checks of a single participant, so there is no outlier. Any other
             text is the quantity of the failing check of the outlier alone.
-        fault: likely cause, a key of `FAULTS`; empty if the cause is not determined.
+        fault: likely cause: "model", "integration", "model or integration", "reactions", "reading",
+            "softness", "resolution" or "redundancy"; empty if the cause is not determined.
         evidence: nearly redundant constraints, or the violation of soft constraints, as text.
     """
 

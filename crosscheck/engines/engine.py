@@ -119,9 +119,10 @@ class Engine:
     """A simulator, with the functions that comparisons need and its expected errors.
 
     Attributes:
-        name: name in files and options.
-        simulate: simulates a scene with given settings, or with those that the engine chooses for the scene.
-        refined: simulates a scene with half the step or tighter tolerances.
+        name: name in files and options; required.
+        simulate: simulates a scene with given settings, or with those that the engine chooses for the scene;
+            required.
+        refined: simulates a scene with half the step or tighter tolerances; required.
         systems: returns the engine's equations of motion with rigid constraints, one per formulation (choice
             of coordinates); an empty tuple if it cannot, so that it is compared by its runs only.
         limits: lists what the engine cannot express of a scene; `simulate` and `systems` refuse such a scene

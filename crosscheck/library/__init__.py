@@ -87,13 +87,17 @@ def load(name: str, /, **options: str | float) -> Scene:
     """Load a scene of the library, a scene file (.yaml, .yml or .json) or a model file (.xml or .urdf).
 
     Args:
-        name: a name in `SCENES`, or the path of a file.
+        name: a name of a scene, such as "tracker" (`crosscheck list` prints all), or the path of a file.
         options: options of the scene or model file, for example `panel_inertia="literal"` of the tracker.
             Numbers may be given as texts.
 
     Raises:
         CrosscheckError: for an unknown scene or option, and for a file that cannot be read.
         newton_euler.NewtonEulerError: for a file with an impossible mechanism.
+
+    Examples:
+        >>> load("chain", N=3).mechanism.joint_names
+        ('hinge_0', 'hinge_1', 'hinge_2')
     """
     if name in SCENES:
         return SCENES[name](**_read_options(name, options))

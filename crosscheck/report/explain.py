@@ -58,12 +58,14 @@ class Explanation:
         also: other spellings, such as "OFF BY" for the accuracy OFF.
         meaning: what was compared, or what the name means.
         labeled: further paragraphs by label, one of `LABELS`.
+        group: heading of the table on the site that begins with this name; "" to continue the table.
     """
 
     name: str
     also: tuple[str, ...]
     meaning: str
     labeled: dict[str, str]
+    group: str = ""
 
 
 @dataclass(frozen=True)
@@ -98,16 +100,18 @@ def _explanation(section: str) -> Explanation:
     """Read one explanation: its name, and paragraphs with or without a label."""
     name, *paragraphs = _paragraphs(section)
     also: tuple[str, ...] = ()
-    meaning, labeled = [], dict[str, str]()
+    meaning, labeled, group = [], dict[str, str](), ""
     for paragraph in paragraphs:
         label, colon, text = paragraph.partition(": ")
         if colon and label == "Also":
             also = tuple(text.split("; "))
+        elif colon and label == "Group":
+            group = text
         elif colon and label in LABELS:
             labeled[label] = text
         else:
             meaning.append(paragraph)
-    return Explanation(name, also, " ".join(meaning), labeled)
+    return Explanation(name, also, " ".join(meaning), labeled, group)
 
 
 def _paragraphs(text: str) -> list[str]:
@@ -167,7 +171,8 @@ def explanation_lines(topic: Topic, explanation: Explanation) -> Iterator[str]:
 def explanation_markdown(name: str) -> Iterator[str]:
     """Yield the lines of the explanations of one topic for a page of the site.
 
-    Each name has a heading. Topics without tolerances and failures are tables, with a row for each name.
+    Each name has a heading. Topics without tolerances and failures are tables with a row for each name, one
+    table for each group of names.
 
     Args:
         name: the topic, one of `TOPICS`.
@@ -182,10 +187,17 @@ def explanation_markdown(name: str) -> Iterator[str]:
                     yield f"- **{label}**: {each.labeled[label]}"
             yield ""
     else:
-        yield "| name | meaning | what you do |\n|---|---|---|"
-        for each in topic.explanations:
-            yield f"| {each.name} | {each.meaning}{_also(each)} | {each.labeled.get('Next', '')} |"
-        yield f"\nTable: {topic.title[0].lower()}{topic.title[1:]}, their meaning, and what you do.\n"
+        has_next = any(each.labeled for each in topic.explanations)
+        head = "| name | meaning | what you do |" if has_next else "| name | meaning |"
+        rule = re.sub("[^|]+", "---", head)
+        for number, each in enumerate(topic.explanations):
+            if each.group:
+                yield f"\n### {each.group}\n"
+            if each.group or number == 0:
+                yield f"{head}\n{rule}"
+            last = f" {each.labeled.get('Next', '')} |" if has_next else ""
+            yield f"| {each.name} | {each.meaning}{_also(each)} |{last}"
+        yield f"\nTable: {topic.title[0].lower()}{topic.title[1:]}.\n"
 
 
 def _also(explanation: Explanation) -> str:

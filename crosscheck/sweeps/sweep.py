@@ -250,9 +250,11 @@ def sweep(
             actuators.
         vary: distributions by parameter name, see `newton_euler.equations.parameters`: texts such as
             "normal(14, 0.5)", or a list of equally likely numbers.
-        runs: number of runs; None for all combinations of a grid.
-        keep: outputs of each run, for example "peak:reaction_force, final:panel_7.quaternion".
-        sampling: "random", "latin_hypercube", "sobol", "saltelli" (for Sobol indices) or "grid".
+        runs: number of runs; None for all combinations of a grid, and only for these.
+        keep: outputs of each run, for example "peak:reaction_force, final:panel_7.quaternion"; a text, a list
+            of texts, or a mapping from names to texts.
+        sampling: "random", "latin_hypercube", "sobol", "saltelli" (for Sobol indices; `runs` is a power of 2
+            times the number of parameters plus 2) or "grid".
         seed: seed of all random numbers.
         output: folder on disk, where an interrupted sweep resumes; None to keep the results in memory.
         options: `threads`, `executor` (of concurrent.futures) or `cluster` (a Dask client or its address), on

@@ -50,28 +50,28 @@ do not vary: their names are refused with the reason.
 
 In batches, sweeps, sensitivities and fits, a joint keeps the zero of its coordinates. At the zero, the
 relative orientation of its two bodies and the vector between its two points are those of the scene's initial
-pose. In contrast, `newton_euler.runs.variation.with_parameters` with `point_on_first`, `point_on_second` or
+pose. In contrast, `newton_euler.with_parameters` with `point_on_first`, `point_on_second` or
 `length` returns a scene with another initial pose, at which joint coordinates are zero.
 
 Parameters of bodies' centers and frames, joints, couplings and motions change the configurations in which
-loops are closed. `newton_euler.runs.starts` therefore assembles a start for each run; initial joint
-coordinates are additional parameters there. All runs use the independent constraints that are chosen at the
-scene's own values, and omit the redundant ones. At other values, a loop may violate omitted constraints, and
-move although all constraints together would lock the loop.
+loops are closed. A start is therefore assembled for each run; initial joint coordinates
+(`newton_euler.runs.initial_coordinates`) are additional parameters. All runs use the independent constraints
+that are chosen at the scene's own values, and omit the redundant ones. At other values, a loop may violate
+omitted constraints, and move although all constraints together would lock the loop.
 
 A name may end in one component of the value, which is then a number: `gravity.z`, `BODY.inertia.xy` (the same
 as `yx`), `JOINT.point.z`; other values are indexed from 0, as in `JOINT.target.0` and `JOINT.gains.1.0`.
 
 A name that stands for two parameters is rejected. Numbered names distinguish them: `bodies[2].mass`,
 `joints[3].point`, `couplings[0].ratio`, `control[0].target`, `forces[1].stiffness`, `armatures[0].inertia`
-and `motions[0].function`. The reference magnitudes that detect singular configurations
-(`newton_euler.equations.sparse`) are those of the scene's own values. Masses that differ from the scene's by
-orders of magnitude make runs slower, not wrong.
-
-Classes of elements declare the numbers that vary (`newton_euler.model.fields`). Compiled code has two more
-kinds of parameters: `JOINT.held`, the force that a sampled controller holds, and the polynomial piece of a
-function of time between two of its knots, such as `motions[0].function.piece`.
+and `motions[0].function`. Masses that differ from the scene's by orders of magnitude make runs slower, not
+wrong.
 """
+
+# Classes of elements declare the numbers that vary (`newton_euler.model.fields`). Compiled code has two more
+# kinds of parameters: `JOINT.held`, the force that a sampled controller holds, and the polynomial piece of a
+# function of time between two of its knots, such as `motions[0].function.piece`. The reference magnitudes that
+# detect singular configurations (`newton_euler.equations.sparse`) are those of the scene's own values.
 
 from __future__ import annotations
 

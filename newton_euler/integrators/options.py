@@ -63,8 +63,22 @@ for a pendulum and minutes for the largest mechanisms."""
 
 
 class StepControl(TypedDict, total=False):
-    """Keyword arguments of a run that control the steps of its integrator; see the attributes of
-    `Options`."""
+    """Keyword arguments of a run that control the steps of its integrator.
+
+    Attributes:
+        rtol, atol: relative and absolute tolerance of the error of one step, for each component of the state;
+            1e-10 and 1e-12 if they are not given. Only "DOP853" and "Radau" take tolerances.
+        step: largest step, s, which "RK4" and "Euler" need. The step is shortened if it does not divide the
+            time between two outputs or between two samples of a controller.
+        most_steps: largest number of steps of a run. If it is None or not given, 1,000,000 for "DOP853" and
+            "Radau" (fewer if Python evaluates the equations), and 20,000,000 for "RK4" and "Euler".
+        rest: threshold of the rates of all coordinates and velocities, SI. If all are below, the mechanism
+            counts as at rest. It is not integrated until the next controller sample, or the next jump in a
+            derivative of a function of time; while a function of time changes, it is integrated in any case.
+            The default 0 turns this off. If a motion decays with time constant T, bodies stop about `rest` T
+            before their final positions. Unstable equilibria count as rest, too. Only "DOP853" of
+            newton_euler uses this option.
+    """
 
     rtol: float
     atol: float
@@ -99,18 +113,8 @@ class Options:
 
     Attributes:
         integrator: one of `INTEGRATORS`.
-        rtol, atol: relative and absolute tolerance of the error of one step, for each component of the state.
-            Only the adaptive integrators use them.
-        step: largest step, s, of the integrators with fixed steps. The step is shortened if it does not
-            divide the time between two outputs or between two samples of a controller.
-        most_steps: largest number of steps of a run. None for the defaults: `DEFAULT_MAX_STEPS` for adaptive
-            integrators (fewer if Python evaluates the equations) and `MAX_FIXED_STEPS` for fixed steps.
-        rest: threshold of the rates of all coordinates and velocities, SI. If all are below, the mechanism
-            counts as at rest. It is not integrated until the next controller sample, or the next jump in a
-            derivative of a function of time; while a function of time changes, it is integrated in any case.
-            The default 0 turns this off. If a motion decays with time
-            constant T, bodies stop about `rest` T before their final positions. Unstable equilibria count as
-            rest, too. Only DOP853 in native code uses this option.
+        rtol, atol, step, most_steps, rest: see `StepControl`. If `most_steps` is None, the limits are
+            `DEFAULT_MAX_STEPS` and `MAX_FIXED_STEPS`.
         projection: True to project states onto the constraints after each step and at outputs.
     """
 

@@ -124,7 +124,7 @@ class PolynomialCoupling(JointCoupling):
     Attributes:
         name: unique among the joints and couplings of a mechanism.
         driver, follower: names of the two joints.
-        coefficients: c_1, c_2, ..., at most `MAX_DEGREE` of them, not all 0. Both coordinates are in m or rad
+        coefficients: c_1, c_2, ..., at most 4 of them, not all 0. Both coordinates are in m or rad
             from the initial pose. For a curve y = p(x) with the initial pose at x_0, c_k is the k-th
             derivative of p at x_0, divided by k!.
         driver_coordinate, follower_coordinate: index of the coordinate of each joint, from 0.

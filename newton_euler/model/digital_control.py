@@ -124,11 +124,14 @@ class Sampled(HeldLaw):
 
     Attributes:
         joint: name of the driven joint.
-        controller: function of time, coordinates and rates, see `Controller`. If it has a state, it must
-            reset the state when it is called with time 0, because a scene may be run several times.
-        period: sampling period, s, at least `MIN_PERIOD`; the first call is at time 0.
+        controller: function `controller(time, x, x_rate)` that returns the force on the driven coordinate, N
+            or N m. `time` is in s. `x` (a,) and `x_rate` (a,) are all coordinates, m or rad from the initial
+            pose, on which control laws of the scene act, in the order of `Scene.control`, and their rates;
+            other coordinates that laws read follow. If the function has a state, it must reset the state when
+            it is called with time 0, because a scene may be run several times.
+        period: sampling period, s, at least 1e-6; the first call is at time 0.
         coordinate: index of the driven joint coordinate, from 0.
-        held: force that is held at present, N or N m.
+        held: force that is held at present, N or N m; runs set it at each call.
 
     Raises:
         MechanismError: naming the joint and the invalid value.
@@ -172,15 +175,15 @@ class Digital(HeldLaw):
 
     Attributes:
         law: the declared law.
-        period: sampling period, s, at least `MIN_PERIOD`; the first sample is at time 0.
-        delay: number of samples from reading to acting, at most `MAX_DELAY_SAMPLES`.
+        period: sampling period, s, at least 1e-6; the first sample is at time 0.
+        delay: number of samples from reading to acting, at most 1,000,000.
         resolution: encoder resolution, m or rad; 0 for exact readings.
         force_limit: largest magnitude of the force, N or N m.
         slew_limit: largest rate of the force, N/s or N m/s.
         stroke: smallest and largest set-point, m or rad from the initial pose. A set-point beyond is moved to
             the nearest end, with rate and acceleration 0.
-        held: force that the actuator holds at present, N or N m.
-        joint, coordinate: joint coordinate of the law.
+        joint, coordinate: joint coordinate of the law; no arguments.
+        held: force that the actuator holds at present, N or N m; no argument, as runs change it.
 
     Raises:
         MechanismError: naming the joint and the invalid value.

@@ -124,8 +124,8 @@ class Box(Homogeneous):
 
     Attributes:
         half_sizes: (3,) half of the edge lengths, m.
-        center: (3,) m.
-        quaternion: (4,) orientation of the edges, (w, x, y, z).
+        center: (3,) m, world frame at the initial pose.
+        quaternion: (4,) orientation of the edges, (w, x, y, z), world frame at the initial pose.
 
     Raises:
         MechanismError: naming the invalid attribute.
@@ -159,7 +159,7 @@ class Sphere(Homogeneous):
     """A solid sphere.
 
     Attributes:
-        center: (3,) m.
+        center: (3,) m, world frame at the initial pose.
         radius: m.
 
     Raises:
@@ -224,7 +224,7 @@ class Cylinder(_Bar):
     """A round bar with flat ends.
 
     Attributes:
-        start, end: (3,) centers of the two end faces, m.
+        start, end: (3,) centers of the two end faces, m, world frame at the initial pose.
         radius: m.
 
     Raises:
@@ -253,7 +253,7 @@ class Capsule(_Bar):
     """A round bar with a hemisphere at each end.
 
     Attributes:
-        start, end: (3,) centers of the two hemispheres, m.
+        start, end: (3,) centers of the two hemispheres, m, world frame at the initial pose.
         radius: m.
 
     Raises:
@@ -285,7 +285,7 @@ class Mesh(Homogeneous):
     """A surface of triangles.
 
     Attributes:
-        vertices: (n, 3) corner points, m.
+        vertices: (n, 3) corner points, m, world frame at the initial pose.
         triangles: (m, 3) indices of three `vertices` for each triangle, counterclockwise as seen from the
             outer side.
         color: red, green, blue and opacity, from 0 to 1; None if the viewer chooses.

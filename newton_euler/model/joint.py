@@ -204,14 +204,13 @@ class Joint(Variable):
         point_on_second: (3,) joint point of the second body, m, world at the initial pose; `point` if it is
             not given. It must satisfy the constraints of the joint. Reaction torques are about this point.
         actuated: True if a control law may drive the joint.
-        kind: name of the kind of joint in scene files (`crosscheck.library.scene_file`, YAML or JSON).
+        kind: name of the kind of joint in scene files.
         axis_names: names of the attributes that are unit axes (3,).
         vector_names: names of other attributes that are vectors (3,), or arrays of vectors (n, 3).
         only_closes: True for a joint that is not a sequence of elementary motions (a rod), and so can only
             close a loop of a spanning tree.
-        point_gap: (3,) m, displacement of the second body's point minus that of the first body's point;
-            nonzero only in variations of the joint, see `varied`. Spanning trees subtract the gap: at zero
-            coordinates the points are to each other as before the displacement.
+        point_gap: (3,) m, displacement of the second body's point minus that of the first body's point; zero
+            in joints that you describe, and nonzero in variations of a joint, as in a tolerance study.
     """
 
     name: str

@@ -94,8 +94,9 @@ class Body(Variable):
         center_of_mass: (3,) m, world at the initial pose.
         inertia: (3, 3) inertia tensor about the center of mass, kg m^2, body frame.
         quaternion: (4,) orientation of the body frame at the initial pose, (w, x, y, z).
-        shapes: simple shapes that viewers draw and model files contain; if empty, bars from the center of
-            mass to the joints.
+        shapes: boxes, capsules, cylinders and spheres that viewers draw and model files contain, in the world
+            frame at the initial pose; if empty, bars from the center of mass to the joints. They do not
+            change mass and inertia, see `Body.solid`.
         allow_unrealisable_inertia: True accepts principal moments with A + B < C, which no mass distribution
             has. A published table with such values can then be simulated as printed.
         meshes: detailed surfaces for viewers; exported model files contain the shapes instead.
@@ -254,7 +255,6 @@ class Mechanism:
         bodies: `bodies[0]` is the ground, which never moves.
         joints: joints in the order of constraint equations and reactions.
         couplings: gears and other equations between joint coordinates.
-        DEFINED_BY: names of the attributes that define a mechanism; everything else follows from them.
 
     Raises:
         MechanismError: naming the body, joint or coupling that is invalid.
@@ -267,6 +267,7 @@ class Mechanism:
     """
 
     DEFINED_BY = ("bodies", "joints", "couplings")
+    """Names of the attributes that define a mechanism; everything else follows from them."""
 
     @np.errstate(all="ignore")  # numbers that overflow are refused
     def __init__(
@@ -512,8 +513,8 @@ class Mechanism:
 
     @cached_property
     def coordinate_labels(self) -> dict[Key, str]:
-        """Labels of all joint coordinates in tables: `JOINT`, or `JOINT.0`, `JOINT.1`, ... for a joint with
-        several."""
+        """Labels of all joint coordinates (joint, index): `JOINT`, or `JOINT.0`, `JOINT.1`, ... for a joint
+        with several."""
         counts = {joint.name: len(joint.coordinate_kinds) for joint in self.joints}
         keys = [(joint, k) for joint, count in counts.items() for k in range(count)]
         return {(joint, k): f"{joint}.{k}" if counts[joint] > 1 else joint for joint, k in keys}

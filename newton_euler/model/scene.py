@@ -99,21 +99,27 @@ class Scene(Variable):
         name: name of the scene and of its result files: letters, digits, `_`, `.` and `-`, at most 100, not
             `.` or `..`.
         mechanism: bodies, joints and couplings.
-        duration: duration of the run, s, at most `MAXIMUM_DURATION`.
-        output_period: time between outputs, s; the last output is at `duration`.
+        duration: duration of the run, s, at most 1e7.
+        output_period: time between outputs, s; the last output is at `duration`. A run has at most 1,000,000
+            outputs.
         gravity: (3,) acceleration of gravity, m/s^2, world frame.
-        control: control laws of actuated joints, in the order of `Trajectory.actuator_force`.
+        control: control laws of actuated joints, in the order of `Trajectory.actuator_force`: `PD`,
+            `StateFeedback`, `ComputedTorque`, `Digital` and `Sampled`.
         initial_state: state from which runs start. It must satisfy all joint constraints in position and
             velocity, as states from `newton_euler.assemble` do. None starts from the mechanism's initial pose
             at rest; prescribed motions that differ from this pose move the start.
             `newton_euler.initial_state` returns the state used.
-        outputs: names of optional outputs, out of `OUTPUTS`.
-        forces: springs, dampers, wrenches and wind loads, in addition to gravity and control laws.
-        motions: prescribed motions of joint coordinates.
+        outputs: names of optional outputs: "velocities" of bodies, "reactions" of joints, "actuation" (forces
+            of control laws), "violation" of constraints, and "energy" (energies and work). All by default;
+            fewer make runs faster.
+        forces: springs, dampers, friction, stops, wrenches and wind loads, in addition to gravity and control
+            laws: `JointSpring`, `JointFriction`, `JointStop`, `ElasticGear`, `BallSpring`, `PointSpring`,
+            `Wrench` and `WindLoad`.
+        motions: prescribed motions of joint coordinates, `PrescribedMotion`.
         armatures: rotor inertias on joint coordinates and ball joints.
         description: one line of printable text for people.
         redundancy_tolerance: size, without unit, of the independent part of a constraint equation below which
-            the equation counts as redundant, see `newton_euler.equations.redundancy`. With 0 only equations
+            the equation counts as redundant. With 0 only equations
             that are dependent to round-off are redundant.
 
     Raises:

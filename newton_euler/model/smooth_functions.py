@@ -108,7 +108,7 @@ class Sine(Function):
         phase: rad.
 
     Raises:
-        MechanismError: for a value that is not a finite number or is above `MAX_ANGLE`.
+        MechanismError: for a value that is not a finite number or is above 1e15.
 
     Examples:
         >>> float(Sine(amplitude=0.5, angular_frequency=2.0).rate(0.0))

@@ -34,7 +34,22 @@ LimitsName = Literal["off", "compliant"]
 
 
 class ReadOptions(TypedDict, total=False):
-    """Keyword options of the readers of model files (MJCF and URDF); `Request` describes them."""
+    """Keyword options of the readers of model files (MJCF and URDF).
+
+    Attributes:
+        duration, output_period: duration of the scene and time between outputs, s; 1.0 and 0.01 if they are
+            not given. Model files contain neither.
+        redundancy_tolerance: dimensionless size of the independent part of a constraint equation below which
+            the equation counts as redundant, see `newton_euler.Scene`; 1e-4 if it is not given.
+        verified: True (default) to compare the imported scene with the model that MuJoCo or Pinocchio
+            compiles from the file.
+        excitation: True to drive the actuators by sines and to start joints with small velocities, because a
+            model at rest tests little; False by default.
+        friction: "regularized" to simulate dry friction of joints by a force that is viscous at low speed;
+            "off" (default) to leave dry friction out.
+        limits: "compliant" to simulate limits of joints by springs with damping; "off" (default) to leave
+            limits out.
+    """
 
     duration: float
     output_period: float
@@ -47,20 +62,10 @@ class ReadOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class Request:
-    """Options of the readers of model files (MJCF and URDF).
+    """Options of the readers of model files (MJCF and URDF), complete with defaults; see `ReadOptions`.
 
-    Attributes:
-        duration, output_period: duration of the scene and time between outputs, s; model files contain
-            neither.
-        redundancy_tolerance: dimensionless size of the independent part of a constraint equation below which
-            the equation counts as redundant, see `newton_euler.Scene`.
-        verified: True to compare the imported scene with the model that MuJoCo or Pinocchio compiles from the
-            file. If False, the caller makes this comparison later; the import report has what it needs.
-        excitation: True to drive the actuators by sines and to start joints with small velocities, because a
-            model at rest tests little.
-        friction: "regularized" to simulate dry friction of joints by a force that is viscous at low speed;
-            "off" to leave dry friction out.
-        limits: "compliant" to simulate limits of joints by springs with damping; "off" to leave limits out.
+    If `verified` is False, the caller compares the scene with the file later; the import report has what this
+    comparison needs.
     """
 
     duration: float = 1.0

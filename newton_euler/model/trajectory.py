@@ -166,6 +166,7 @@ class Trajectory:
         engine: name of the engine that simulated the run.
         settings: options of the engine and its counts of steps and evaluations.
         wall_time: duration of the simulation in real time, s, without the construction of the model.
+        body_names, joint_names: names in the order of the arrays.
         angle_names: labels (`Mechanism.coordinate_labels`) of the c carried angles. A run carries (integrates
             with their full revolutions) the angles on which forces, control laws or couplings depend.
         mechanism: the mechanism that moved; None for a trajectory that was made from arrays. Files do not
@@ -198,7 +199,7 @@ class Trajectory:
     """(n, b, 3) rad/s."""
     reaction_force: Floats | None = None
     """(n, j, 3) constraint force on the second body of each joint, N. It is not unique if constraints are
-    redundant, see `newton_euler.equations.reactions`."""
+    redundant; see `newton_euler.equations.reactions`."""
     reaction_torque: Floats | None = None
     """(n, j, 3) constraint torque on the second body of each joint about its joint point, N m; unique like
     the force."""

@@ -270,7 +270,7 @@ def wind_turbulence(
         seed: 0 or more; the same seed gives the same wind.
         lowest: lower end of the band of frequencies, Hz.
         highest: upper end of the band of frequencies, Hz.
-        count: number of sines, 1 to `MAX_SINES`.
+        count: number of sines, 1 to 1000.
 
     Raises:
         ArgumentError: for a value of another type, and an impossible seed or count.

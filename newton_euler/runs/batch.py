@@ -73,11 +73,18 @@ Small pieces waste time, because some lanes are idle while the last runs of a pi
 class Batch(Sequence[Trajectory]):
     """Runs of one scene; `batch[k]` is the trajectory of run k, or raises the error that ended the run.
 
+    `len(batch)` is the number of runs, and `batch[2:5]` a list of trajectories.
+
     Attributes:
         scene: the scene of all runs.
-        settings: settings that all runs share, see `Trajectory.settings`.
+        settings: settings that all runs share, see `Trajectory`.
         wall_time: s, of all runs together.
         errors: errors by number of the run: invalid parameter values, or runs that stopped early.
+
+    Examples:
+        >>> batch = simulate_batch(load("pendulum"), parameters={"dumbbell.mass": [1.0, 2.0, -1.0]})
+        >>> len(batch), list(batch.errors), batch.joint("pivot").coordinates.shape
+        (3, [2], (3, 1001, 1))
     """
 
     scene: Scene
@@ -200,8 +207,8 @@ def simulate_batch(
         states: initial states, one per run; the initial state of the scene for all runs if None.
         parameters: values, one per run, by name; see `newton_euler.equations.parameters`, and
             `newton_euler.runs.initial_coordinates` for initial coordinates.
-        threads: number of threads, at most `MAX_THREADS`; the number of processors if None.
-        formulation, integrator, stabilization, alpha, control: see `simulate`.
+        threads: number of threads, at most 4096; the number of processors if None.
+        formulation, integrator, stabilization, alpha, control: see `newton_euler.simulate`.
 
     Raises:
         NewtonEulerError: for an unknown name, an impossible option, and values that no run could have. Errors

@@ -62,7 +62,8 @@ def on_moving_base(
     Args:
         scene: the scene on the base.
         motions: functions of time by name: surge, sway, heave (m along x, y, z of the world) and roll, pitch,
-            yaw (rad), see `newton_euler.runs.moving_base`; others stay 0. If None, the base floats freely.
+            yaw (rad); others stay 0. The rotation is R_z(yaw) R_y(pitch) R_x(roll). If None, the base floats
+            freely.
         hull: body with the mass, center of mass, inertia and shapes of the base at the scene's initial pose.
             If None, the base has the mass of the ground. If the ground has no mass, the base of a prescribed
             motion gets the mass of the mechanism, which affects only the forces that move the base.
@@ -79,6 +80,8 @@ def on_moving_base(
         >>> scene = on_moving_base(load("pendulum"), waves)
         >>> scene.mechanism.body_names, scene.mechanism.joint("base_motion").coordinate_kinds
         (('world', 'ground', 'dumbbell'), ('slide', 'hinge'))
+        >>> simulate(scene).joint("base_motion").coordinates.shape  # m and rad over time
+        (1001, 2)
     """
     # check the reference point and the names
     where = f"moving base of scene {quoted(scene.name)}"

@@ -77,15 +77,16 @@ def simulate(
 
     Args:
         scene: a mechanism with its surroundings, start and duration.
-        formulation: "relative" (joint coordinates) or "cartesian" (poses of all bodies, equation 21 of the
-            paper cited in `newton_euler.equations.cartesian`). If None, joint coordinates unless many closed
-            loops share joint axes, see `newton_euler.compiled.formulations.cheaper_formulation`. The
-            trajectory's settings name the formulation.
-        integrator: one of `newton_euler.integrators.options.INTEGRATORS`.
-        stabilization: "projection", "baumgarte" or "none".
-        alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2; 10 as in that paper if None.
-        control: step control: rtol and atol of adaptive integrators, step (s) of fixed-step integrators,
-            most_steps (largest number of steps); see `newton_euler.integrators.options.Options`.
+        formulation: "relative" (joint coordinates) or "cartesian" (poses of all bodies). If None, joint
+            coordinates, unless many closed loops share joint axes. The trajectory's settings name the
+            formulation.
+        integrator: "DOP853" (explicit, order 8) or "Radau" (implicit, order 5, for stiff scenes) with error
+            control; "RK4" or "Euler" (semi-implicit) with fixed steps.
+        stabilization: how loops stay closed: "projection" onto the constraints after each step, "baumgarte"
+            (feedback of the constraint violation) or "none".
+        alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2; 10 if None.
+        control: options of the steps, see `StepControl`: rtol (1e-10) and atol (1e-12) of "DOP853" and
+            "Radau", step (s) of "RK4" and "Euler", most_steps and rest.
 
     Raises:
         NewtonEulerError: for an unknown name, an impossible option, or a run that stops early; an
@@ -123,7 +124,8 @@ def compile_scene(
 
     Args:
         scene, formulation, stabilization, alpha: see `simulate`.
-        parameters: names of numbers that vary from run to run, see `newton_euler.equations.parameters`.
+        parameters: names of numbers that vary from run to run, see `newton_euler.equations.parameters`. Give
+            the values of a run by `compiled.with_scene(with_parameters(scene, values))`.
 
     Raises:
         NewtonEulerError: for an unknown name or an impossible option.
@@ -176,9 +178,9 @@ class CompiledScene(CompiledEquations):
         """Run the scene; see `newton_euler.simulate` for errors and the other arguments.
 
         Args:
-            integrator: name of the integrator.
+            integrator: "DOP853", "Radau", "RK4" or "Euler".
             times: (n,) s, output times, ascending from 0; those of the scene if None.
-            control: step control.
+            control: options of the steps, see `StepControl`.
         """
         options = Options.of(integrator, control)
         self.warn()

@@ -96,7 +96,7 @@ class Identification:
             wrong scene; None if there is none.
         stopped: reason why the fit ended before it converged; empty if it converged.
         curvature: relative change of the derivatives two standard deviations away, root mean square. Above
-            `MAX_CURVATURE` the covariance is valid for single parameters, not for all together.
+            0.2 the covariance is valid for single parameters, not for all together.
         contradiction: a line on the coordinate or rate whose first measurement contradicts the start of its
             run, if no parameter moves the start; empty if there is none.
         evaluations: number of times that all runs were simulated, with derivatives.

@@ -70,14 +70,15 @@ class Measurements:
 
     Attributes:
         time: (n,) s from the start of the run, ascending.
-        columns: (n,) each, by name, see `newton_euler.analysis.identification.measurements`.
+        columns: (n,) each, by name, such as "coordinate.pivot" or "position.rod.x".
         noise: standard deviations of columns, by name, in the units of the columns. The noise of columns
             without an entry is unknown.
-        start: coordinates and rates at the start of the run, SI, by the names of
-            `newton_euler.runs.initial_coordinates`. Coordinates that are not given start as near to the
-            scene's initial state as the loops allow.
-        units: units (see `UNITS`) of columns with their noise, and of the time, by name. Columns without an
-            entry are in SI. All numbers are converted to SI.
+        start: coordinates and rates at the start of the run, SI, by the names `start.JOINT` and
+            `start.JOINT.rate`. Coordinates that are not given start as near to the scene's initial state as
+            the loops allow.
+        units: units of columns with their noise, and of the time, by name: "s", "ms", "m", "mm", "rad",
+            "deg", "m/s", "mm/s", "rad/s", "deg/s", "N", "N m", "J" or "1". Columns without an entry are in
+            SI. All numbers are converted to SI.
 
     Raises:
         MechanismError: naming the time or column: times that do not ascend, numbers that are not finite or
@@ -179,8 +180,8 @@ def _numbers(what: str, given: object, factor: float) -> Floats:
 def measurements_from_csv(path: str | os.PathLike[str]) -> Measurements:
     """Read measurements of one run.
 
-    The first line names the columns: `time`, s from the start of the run, and columns of
-    `newton_euler.analysis.identification.measurements`. A unit that is not SI follows in brackets, as in
+    The first line names the columns: `time`, s from the start of the run, and columns such as
+    `coordinate.pivot` or `position.rod.x`. A unit that is not SI follows in brackets, as in
     `coordinate.pivot [deg]`. A line with `noise` in place of a time has the standard deviations of columns. A
     line with `start` has the joint coordinates and rates at the start of the run. Unknown cells are empty.
 

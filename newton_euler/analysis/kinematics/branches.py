@@ -63,10 +63,10 @@ class Branches:
         blocks: for each block of equations that are solved together, the names of the joints that they
             determine; without blocks whose determinants are equal in all branches.
         found: (n,) number of random configurations that converged to each branch.
-        complete: True if each branch was found at least `MIN_HITS` times, so that further branches are
+        complete: True if each branch was found at least 5 times, so that further branches are
             unlikely.
         scattered: number of random configurations that converged to singular configurations found fewer than
-            `MIN_HITS` times: points of continuous families of poses, where goals do not determine the pose.
+            5 times: points of continuous families of poses, where goals do not determine the pose.
 
     Examples:
         >>> found: Branches = assembly_branches(load("four_bar"), {"pivot_0": 0.3})
@@ -99,7 +99,7 @@ def assembly_branches(
 ) -> Branches:
     """Find all assembly branches of a mechanism for given joint coordinates, or for the direction of an axis.
 
-    Newton's method starts from random configurations until each branch was found `MIN_HITS` times. If the
+    Newton's method starts from random configurations until each branch was found 5 times. If the
     goals cannot be met, the result has no branch; `solve_poses` finds the nearest pose then.
 
     Args:

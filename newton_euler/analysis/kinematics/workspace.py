@@ -111,7 +111,7 @@ def workspace(
         scene: gives the mechanism and the start.
         grid: values of each coordinate, m or rad from the initial pose, by name of the joint, or by (name,
             number) for joints of several coordinates. There must be as many coordinates as degrees of
-            freedom, and at most `MAX_POSES` points.
+            freedom, and at most 1,000,000 points.
         axis: axis of a body, whose directions are mapped.
         start: pose on the assembly branch that is mapped; the scene's initial state if None.
         point: point of a body, whose positions are mapped.
@@ -200,7 +200,7 @@ def singular_poses(
         scene: gives the mechanism.
         coordinates: joint coordinates, as many as degrees of freedom, by name of the joint, or by (name,
             number) for joints of several coordinates.
-        count: number of random configurations, 1 to `MAX_POSES`.
+        count: number of random configurations, 1 to 1,000,000.
         axis: axis of a body, whose directions are returned, too.
 
     Returns:

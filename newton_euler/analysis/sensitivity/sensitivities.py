@@ -138,8 +138,8 @@ def sensitivities(
             the compiled code. If the rate `start.JOINT.rate` is a parameter, the initial coordinate
             `start.JOINT` is constant, also for derivatives with respect to geometry. If neither is a
             parameter, the initial coordinate changes with the geometry as the loops require.
-        formulation: see `simulate`.
-        control: step control of DOP853 with projection, see `simulate`; other methods have no derivatives.
+        formulation: see `newton_euler.simulate`.
+        control: options of the steps of DOP853, see `StepControl`; other methods have no derivatives.
 
     Raises:
         NewtonEulerError: for an unknown name, an impossible option, a run that stops, or a run without

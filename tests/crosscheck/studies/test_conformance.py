@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from command_line import run
-from contract_table import table, table_of_page
+from contract_points import sections, sections_of_page
 
 from crosscheck.engines.engine import NO_SETTINGS, Engine
 from crosscheck.engines.limits import CannotExpressError, Limit
@@ -459,7 +459,7 @@ def test_arrays_of_another_shape_are_failures():
 def test_the_page_explains_every_point():
     for point in POINTS:
         assert all(text.endswith(".") for text in explained(point)), point
-    assert table_of_page() == table(), "python tests/support/contract_table.py writes the page"
+    assert sections_of_page() == sections(), "python tests/support/contract_points.py writes the page"
 
 
 def test_the_command_prints_each_point(capsys, tmp_path, monkeypatch):
