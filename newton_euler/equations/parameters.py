@@ -70,8 +70,8 @@ wrong.
 
 # Classes of elements declare the numbers that vary (`newton_euler.model.fields`). Compiled code has two more
 # kinds of parameters: `JOINT.held`, the force that a sampled controller holds, and the polynomial piece of a
-# function of time between two of its knots, such as `motions[0].function.piece`. The reference magnitudes that
-# detect singular configurations (`newton_euler.equations.sparse`) are those of the scene's own values.
+# function of time between two of its knots, such as `motions[0].function.piece`. The reference magnitudes
+# that detect singular configurations (`newton_euler.equations.sparse`) are those of the scene's own values.
 
 from __future__ import annotations
 

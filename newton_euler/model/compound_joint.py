@@ -49,8 +49,9 @@ class Compound(Joint):
         hinges: (m, 3) axes of the m hinges, m at most 3, in order from the first body to the second, world at
             the initial pose.
         offsets: (m - 1, 3) m, from a point on the axis of each hinge to a point on the axis of the next
-            hinge, world at the initial pose; zeros if all axes pass through `point`. Their sum is
-            `point_on_second` - `point`, unless `point_on_second` is given.
+            hinge, world at the initial pose, such as [[0, 0, 0.1]] for two hinges 0.1 m apart. Zeros (the
+            default) if all axes pass through `point`. `point_on_second` is `point` plus all offsets unless it
+            is given.
         ball: True for a ball instead of hinges.
 
     Raises:

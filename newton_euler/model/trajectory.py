@@ -93,14 +93,17 @@ REQUIRED_ARRAYS = ("time", "body_names", "joint_names", "position", "quaternion"
 
 
 class JointMotion(NamedTuple):
-    """The k coordinates of a joint over n output times, as control laws and springs measure them."""
+    """The k coordinates of a joint over n output times, as control laws and springs measure them.
+
+    Attributes:
+        names: (k,) "angle" or "position", numbered from 1 if the joint has several coordinates of a kind.
+        coordinates: (n, k) rad or m from the initial pose; angles include full revolutions.
+        rates: (n, k) rad/s or m/s; None if the run has no velocities.
+    """
 
     names: tuple[str, ...]
-    """(k,) "angle" or "position", numbered from 1 if the joint has several coordinates of a kind."""
     coordinates: Floats
-    """(n, k) rad or m from the initial pose; angles include full revolutions."""
     rates: Floats | None
-    """(n, k) rad/s or m/s; None if the run has no velocities."""
 
     def __repr__(self) -> str:
         return f"<JointMotion of {', '.join(self.names)}: {len(self.coordinates)} outputs>"
