@@ -125,9 +125,9 @@ def with_values(expression: Any) -> Any:
     if not isinstance(expression, Expr) or not is_dataclass(expression):
         return expression
     if isinstance(expression, ExprSubscript) and isinstance(expression.slice, ExprTuple):
-        inner, *marks = expression.slice.elements
-        if [str(mark) for mark in marks] == [UNCHECKED]:
-            return with_values(inner)
+        elements = expression.slice.elements
+        if [str(mark) for mark in elements[1:]] == [UNCHECKED]:
+            return with_values(elements[0])
     for field in fields(expression):
         if field.name != "parent":
             setattr(expression, field.name, with_values(getattr(expression, field.name)))

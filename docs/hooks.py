@@ -75,8 +75,8 @@ NAMES_FOLDER = "reference/python/"
 MENTIONED = re.compile(r"<(a|autoref|pre|h[1-6])\b.*?</\1>|<code>([\w.]+)</code>", re.DOTALL)
 """A name in a sentence, or an element in which names are not linked."""
 
-WORD_OF_TERM = r"(?<=--)[\w-]+|^\w+"
-"""The words by which the term of an option or argument is known, such as "verbose" of "-v, --verbose"."""
+OPTION = re.compile(r"(?<=--)[\w-]+")
+"""The name of an option in its term, such as "verbose" in "-v, --verbose"."""
 
 HELP_WIDTH = 80
 """Width of the help of commands, characters, as terminals have it."""
@@ -163,7 +163,8 @@ def commands(task: str) -> Iterator[str]:
         for heading, rows in sections.items():
             yield f"**{heading}**\n"
             for term, text in rows:
-                anchor = f"{name}-{re.findall(WORD_OF_TERM, term)[-1]}"
+                words = OPTION.findall(term) or re.findall(r"\w+", term)[:1]
+                anchor = f"{name}-{words[-1]}"
                 yield f"- [`{term}`](#{anchor}){{ #{anchor} }}: {markdown_text(text)}"
             yield ""
         lines = [f"# {what}\n$ {line}\n" for what, line in command.examples.items()]
