@@ -32,33 +32,33 @@ class WindRange(NamedTuple):
     Attributes:
         load: name of the wind load.
         body: body of the plate.
-        least_attack, most_attack: angles of attack, degrees.
-        least_ratio, most_ratio: span / chord.
+        minimum_attack, maximum_attack: angles of attack, degrees.
+        minimum_ratio, maximum_ratio: span / chord.
         clearance: least height of the plate's lowest corner above the world's origin, in chords; None without
             gravity, which gives the vertical.
     """
 
     load: str
     body: str
-    least_attack: float
-    most_attack: float
-    least_ratio: float
-    most_ratio: float
+    minimum_attack: float
+    maximum_attack: float
+    minimum_ratio: float
+    maximum_ratio: float
     clearance: float | None
 
     @property
     def line(self) -> str:
         """The ranges in one sentence."""
-        angles = _range_text(self.least_attack, self.most_attack)
-        ratios = _range_text(self.least_ratio, self.most_ratio)
+        angles = _range_text(self.minimum_attack, self.maximum_attack)
+        ratios = _range_text(self.minimum_ratio, self.maximum_ratio)
         return f"wind {self.load!r} meets {self.body!r} at {angles} degrees; span / chord is {ratios}"
 
     @property
     def warning(self) -> str:
         """Values outside of the validity of the coefficients, in one sentence; empty if there are none."""
         problems = []
-        if self.least_ratio < LEAST_RATIO or self.most_ratio > MOST_RATIO:
-            ratios = _range_text(self.least_ratio, self.most_ratio)
+        if self.minimum_ratio < LEAST_RATIO or self.maximum_ratio > MOST_RATIO:
+            ratios = _range_text(self.minimum_ratio, self.maximum_ratio)
             problems.append(f"span / chord is {ratios}, its coefficients are for 1/6 to {MOST_RATIO:g}")
         if self.clearance is not None and self.clearance < MIN_CLEARANCE:
             where = f"{self.clearance:.2g} chords above the height 0"

@@ -60,11 +60,11 @@ def test_cases_of_a_scene(capsys, monkeypatch, tmp_path):
     assert "case windy: starts at slide_12 0 m, slide_13 0 m" in out
     assert max(map(len, out.splitlines())) <= 80 + len(str(tmp_path)) * 5
     found = ranges(tmp_path)
-    assert {row["most_case"] for row in found.values()} == {"calm", "windy"}
+    assert {row["maximum_case"] for row in found.values()} == {"calm", "windy"}
     row = found["universal_47", "force"]
     peak, *_, case, _, time, _ = lines_of(out, "Envelope: forces of joints")["universal_47"]
-    assert peak == f"{float(row['most']):.3g}"
-    assert (case, float(time)) == (row["most_case"], pytest.approx(float(row["most_time"]), rel=1e-3))
+    assert peak == f"{float(row['maximum']):.3g}"
+    assert (case, float(time)) == (row["maximum_case"], pytest.approx(float(row["maximum_time"]), rel=1e-3))
     assert (tmp_path / "loads.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "loads.rrd").stat().st_size > 10_000
     assert run(capsys, "report", tmp_path)[0] == 0
@@ -139,9 +139,9 @@ def test_the_default_cases_load_a_stowed_panel_from_both_sides(capsys, tmp_path)
     moving = sum(body.mass for body in load("tracker").mechanism.bodies[1:])
     for case, sign in {"stow_up": -1.0, "stow_down": 1.0}.items():
         (flow,) = content["winds"][case]
-        assert flow["most_attack"] == pytest.approx(np.degrees(np.arctan2(10.0, 40.0)), rel=1e-6)
+        assert flow["maximum_attack"] == pytest.approx(np.degrees(np.arctan2(10.0, 40.0)), rel=1e-6)
         # normal force by the formulas of `WindLoad`, on a panel with sides of twice `PANEL`
-        coefficient, _ = blended(flow["most_attack"], flow["most_ratio"], max(PANEL) / min(PANEL))
+        coefficient, _ = blended(flow["maximum_attack"], flow["maximum_ratio"], max(PANEL) / min(PANEL))
         force = 0.5 * 1.225 * (40.0**2 + 10.0**2) * 4.0 * PANEL[0] * PANEL[1] * coefficient
         # plates of the sliders carry horizontal forces only; the square of 0.01 m/s is added to that of
         # 10 m/s across the panel, so that the load is smooth at 0
@@ -216,7 +216,7 @@ def test_a_file_at_rest_has_one_case(capsys, tmp_path):
     status, out, _ = run(capsys, "loads", EXAMPLE, "--at-rest", "--output", tmp_path)
     assert status == 0
     assert out.startswith("four_bar: loads at rest, initial pose\n")
-    assert {row["most_time"] for row in ranges(tmp_path).values()} == {"0.0"}
+    assert {row["maximum_time"] for row in ranges(tmp_path).values()} == {"0.0"}
 
 
 @pytest.mark.slow
