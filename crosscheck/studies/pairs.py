@@ -52,6 +52,11 @@ class ListedFile(BaseModel):
     commit: str
     file: str
 
+    @property
+    def source(self) -> str:
+        """Repository and commit."""
+        return f"{self.repository} {self.commit[:SHORT_COMMIT]}"
+
     def path(self, folder: Path) -> Path:
         """Return the path of the file; an older commit has a folder of its own."""
         older = folder / f"{self.repository}@{self.commit[:SHORT_COMMIT]}" / self.file
@@ -77,6 +82,13 @@ class ListedPair(BaseModel):
     independent: float | None = None
     why: str = ""
 
+    @property
+    def places(self) -> str:
+        """Both files with repository and commit, which stand once if they are the same."""
+        first, second = self.first, self.second
+        place = f"{first.source}: {first.file} and "
+        return place + (second.file if first.source == second.source else f"{second.source}: {second.file}")
+
 
 class PairResult(BaseModel):
     """Result of a pair.
@@ -84,6 +96,7 @@ class PairResult(BaseModel):
     Attributes:
         verdict: `SAME`, `SAME TO ROUNDING`, `DIFFERENT`, or `REFUSED` for a file that cannot be read.
         differences: the largest differences with their causes, or the error.
+        others: number of further differences.
         motion: difference of the motions.
         run: largest distance of a body from its counterpart in a run from the same start.
         processor_time: of reading and comparing, s.
@@ -91,6 +104,7 @@ class PairResult(BaseModel):
 
     verdict: str
     differences: list[str]
+    others: int = 0
     motion: str
     run: str
     processor_time: float
@@ -113,12 +127,10 @@ def compare_pair(folder: Path, pair: ListedPair) -> PairResult:
             verdict=REFUSED, differences=[text], motion="", run="", processor_time=time.process_time() - start
         )
     rows = comparison.differences
-    texts = [sentence(row) for row in rows[:MAX_SENTENCES]]
-    if more := len(rows) - len(texts):
-        texts.append(f"{more} more")
     return PairResult(
         verdict=comparison.outcome.value,
-        differences=texts,
+        differences=[sentence(row) for row in rows[:MAX_SENTENCES]],
+        others=max(0, len(rows) - MAX_SENTENCES),
         motion=_motion(comparison),
         run=_run(comparison),
         processor_time=time.process_time() - start,
@@ -161,29 +173,42 @@ def table(pairs: Sequence[ListedPair], found: dict[str, PairResult]) -> Iterator
     yield f"{len(found)} pairs: {', '.join(f'{counts[each]} {each}' for each in order if counts[each])}."
     yield f"The slowest comparison took {slowest:.1f} s of processor time."
     yield ""
-    # one row for each difference; the other columns are those of the first difference
     rows: Rows = []
-    files: Rows = []
     for pair in pairs:
         result = found.get(pair.name)
         if result is None:
             continue
         independent = "" if pair.independent is None else f"{pair.independent:.1e}"
-        cells = [pair.name, result.verdict, result.motion, result.run, independent]
-        for text in result.differences or [""]:
-            what, _, cause = text.partition("; ")
-            rows.append([*cells, what, cause])
-            cells = [""] * len(cells)
-        places = [
-            f"{each.repository} {each.commit[:SHORT_COMMIT]}: {each.file}"
-            for each in (pair.first, pair.second)
-        ]
-        files.append([pair.name, *places, pair.why])
-    heads = text_columns("pair", "verdict", "accelerations", "run", "engine alone", "difference", "cause")
-    yield from markdown_table(Table("", heads, rows))
-    yield "\nTable: verdicts and largest differences of all pairs, one difference per row.\n"
-    yield from markdown_table(Table("", text_columns("pair", "first file", "second file", "note"), files))
-    yield "\nTable: files of the pairs, and what a person found out."
+        rows.append(
+            [
+                f"{pair.name}: {pair.places}",
+                result.verdict,
+                result.motion,
+                result.run,
+                independent,
+                _differences(result),
+                pair.why,
+            ]
+        )
+    heads = (
+        "pair: first and second file",
+        "verdict",
+        "accelerations",
+        "run",
+        "engine alone",
+        "differences",
+        "note",
+    )
+    yield from markdown_table(Table("", text_columns(*heads), rows))
+    yield "\nTable: the pairs, their verdicts and their largest differences."
+
+
+def _differences(result: PairResult) -> str:
+    """Number the differences of a pair, and join them for one cell; an error has no number."""
+    if result.verdict == REFUSED:
+        return "; ".join(result.differences)
+    texts = [f"({number}) {text}" for number, text in enumerate(result.differences, 1)]
+    return "; ".join([*texts, f"{result.others} more"] if result.others else texts)
 
 
 @click.command()

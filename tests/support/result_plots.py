@@ -7,6 +7,7 @@ than the table on its page.
 from __future__ import annotations
 
 import inspect
+import math
 import re
 from collections import Counter
 from collections.abc import Callable
@@ -162,22 +163,18 @@ MOTION_BINS = ("equal", "rounding", "below 1 %", "1 to 10 %", "10 to 50 %", "50 
 
 def pairs() -> Figure:
     """Plot how much the accelerations of pairs differ, and which quantities differ."""
-    table = page_table("pairs.md", "pair", "verdict")
+    table = page_table("pairs.md", "pair: first and second file", "verdict")
     motion: Counter[str] = Counter()
-    kinds: dict[str, set[str]] = {}  # names of the pairs by quantity
-    name = ""
-    for row in table.rows:
-        values = dict(zip(table.heads, row, strict=True))
-        name = values["pair"] or name
-        if (kind := values["difference"].partition(" of ")[0]) in QUANTITIES:
-            kinds.setdefault(kind, set()).add(name)
-        text = values["accelerations"]
+    counts: Counter[str] = Counter()  # pairs by quantity
+    for differences in table.column("differences"):
+        found = {text.partition(" of ")[0] for text in re.split(r"\(\d\) ", differences)}
+        counts.update(found & {*QUANTITIES})
+    for text in table.column("accelerations"):
         if text in MOTION_BINS:
             motion[text] += 1
         elif text:
             limits = np.searchsorted([1.0, 10.0, 50.0, 100.0], numbers(text)[0])
             motion[MOTION_BINS[2 + int(limits)]] += 1
-    counts = Counter({kind: len(names) for kind, names in kinds.items()})
     figure = Figure(figsize=(8.0, 3.4), layout="constrained")
     left, right = figure.subplots(1, 2)
     left.barh(MOTION_BINS, [motion[each] for each in MOTION_BINS], color=BLUE)
@@ -221,7 +218,12 @@ def planted() -> Figure:
     files, identified = (
         np.array([float(text) for text in table.column(head)]) for head in ("files", "identified")
     )
-    changes = np.array([float(text or "nan") for text in table.column("largest change of accelerations")])
+    changes = np.array(
+        [
+            math.nan if text == "not computed" else float(text)
+            for text in table.column("largest change of accelerations")
+        ]
+    )
     half = (len(files) + 1) // 2
     figure = Figure(figsize=(8.0, 0.18 * half + 0.9), layout="constrained")
     for ax, rows in zip(figure.subplots(1, 2), (slice(half), slice(half, None)), strict=True):
@@ -257,7 +259,9 @@ def tolerances() -> Figure:
     joints = [name.partition(",")[0] for name in table.column("joint")]
     places = np.arange(len(joints))
     for k, (axis, color) in enumerate((("x", BLUE), ("y", ORANGE))):
-        shares = [numbers(text)[0] if text else 0.0 for text in table.column(f"normal along {axis}")]
+        shares = [
+            0.0 if "below" in text else numbers(text)[0] for text in table.column(f"normal along {axis}")
+        ]
         right.barh(places + 0.4 * (k - 0.5), shares, 0.4, color=color, label=f"normal along {axis}")
     right.set_yticks(places, joints, fontsize="small")
     right.invert_yaxis()

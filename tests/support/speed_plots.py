@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from matplotlib.figure import Figure
 from page_tables import numbers, page_table
@@ -71,11 +73,13 @@ def batches() -> Figure:
 
 def sensitivities() -> Figure:
     """Plot the cost of a sensitivity over the number of parameters."""
-    table = page_table("speed_sensitivities.md", "scene", "operations of the run, of its derivatives")
+    table = page_table("speed_sensitivities.md", "scene", "run, operations")
     figure = Figure(figsize=(8.0, 3.2), layout="constrained")
     ax = figure.add_subplot()
     for row, style in zip(table.rows, ("o-", "s-", "^-", "v-", "D-", "o--", "s--"), strict=True):
-        costs = [(count, float(row[table.heads.index(str(count))] or "nan")) for count in (1, 2, 4, 8)]
+        texts = dict(zip(table.heads, row, strict=True))
+        masses = {count: texts["1 mass" if count == 1 else f"{count} masses"] for count in (1, 2, 4, 8)}
+        costs = [(count, math.nan if text == "-" else float(text)) for count, text in masses.items()]
         ax.plot(*np.transpose(costs), style, label=row[0], markersize=5)
     ax.axhline(1.0, color="black", linewidth=0.8, linestyle=":")
     ax.text(8.1, 1.0, "a second run", fontsize="small", va="bottom", ha="right")

@@ -34,10 +34,10 @@ def tables(results: str) -> Iterator[tuple[str, list[str]]]:
     for title, text in sections.items():
         if topic := TOPIC.fullmatch(title):
             letter = topic[1]
-            lines = [sections[f"bounds of ({letter})"], "", "Table: bounds of cases that pass.", ""]
-            lines += [text, "", "Table: passed cases of each engine and setting."]
+            lines = [sections[f"bounds of ({letter})"], "", f"Table: {title}: bounds of cases that pass.", ""]
+            lines += [text, "", f"Table: {title}: passed cases of each engine and setting."]
             if others := sections.get(f"not passed in ({letter})"):
-                lines += ["", others, "", "Table: cases that do not pass, with their values."]
+                lines += ["", others, "", f"Table: {title}: cases that do not pass, with their values."]
             yield f"topic {letter}", lines
 
 

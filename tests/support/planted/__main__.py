@@ -13,6 +13,7 @@ import tempfile
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from inspect import getdoc
 from pathlib import Path
 
 import click
@@ -22,12 +23,13 @@ from pydantic import BaseModel, ConfigDict
 from crosscheck.compare.outcome import Outcome
 from crosscheck.differences.result import compare_models
 from crosscheck.report.render import markdown_table
-from crosscheck.report.table import Rows, Table, text_columns
+from crosscheck.report.table import Cell, Rows, Table, number_columns, text_columns
 from crosscheck.studies.models import read_list, write
-from crosscheck.studies.pairs import ListedFile
+from crosscheck.studies.pairs import SHORT_COMMIT, ListedFile
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.errors import NewtonEulerError
-from tests.support.planted.format_changes import changes, rounded
+from tests.support.planted.changes import COMMON
+from tests.support.planted.format_changes import OF_MJCF, OF_URDF, changes, rounded
 from tests.support.planted.mjcf_text import MjcfText
 from tests.support.planted.model_text import ModelText
 from tests.support.planted.plant import NotApplicable, Plant, mistakes
@@ -153,35 +155,63 @@ class PlantedModel:
         return Case(self.name, kinds, tuple(mistakes(comparison, plants)), change, is_missed)
 
 
-def table(cases: Sequence[Case]) -> Iterator[str]:
-    """Yield the lines of Markdown: counts, and a table of all kinds."""
+def change_texts() -> dict[str, str]:
+    """Return what each kind of change does and by how much, by its name: first lines of the docstrings."""
+    functions = {**COMMON, **OF_MJCF, **OF_URDF}
+    texts = {kind: (getdoc(change) or "").partition("\n")[0] for kind, change in functions.items()}
+    for digits in DIGITS:
+        texts[f"rounded to {digits} digits"] = (
+            f"Round all numbers with decimals to {digits} significant digits."
+        )
+    for count in (2, 3):
+        texts[f"{count} changes at once"] = f"Make {count} of the other changes in one file."
+    return {kind: text.rstrip(".") for kind, text in texts.items()}
+
+
+def change_text(value: float) -> str:
+    """Format a relative change of accelerations with two digits."""
+    return f"{value:.2g}" if value < 100.0 else f"{float(f'{value:.2g}'):.0f}"
+
+
+def table(models: Sequence[ListedModel], cases: Sequence[Case]) -> Iterator[str]:
+    """Yield the lines of Markdown: counts, the models, and a table of all kinds."""
     right = sum(not case.mistakes for case in cases)
     kinds = {kind for case in cases for kind in case.kinds}
-    models = {case.model for case in cases}
     missed = sum(case.is_missed for case in cases)
     yield (
-        f"{len(cases)} changed files of {len(models)} models, {len(kinds)} kinds of changes: "
-        f"{right} are identified ({100.0 * right / max(len(cases), 1):.1f} %), "
+        f"{len(cases)} changed files of {len(models)} models, {len(kinds)} kinds of changes, alone or "
+        f"two and three at once: {right} are identified ({100.0 * right / max(len(cases), 1):.1f} %), "
         f"{missed} changes of the motion are missed."
     )
     yield ""
     by_kind: dict[str, list[Case]] = defaultdict(list)
     for case in cases:
         by_kind[case.kinds[0] if len(case.kinds) == 1 else f"{len(case.kinds)} changes at once"].append(case)
+    texts = change_texts()
     rows: Rows = []
     wrong: Rows = []
     for kind, those in by_kind.items():
         wrong += [[kind, case.model, "; ".join(case.mistakes)] for case in those if case.mistakes]
         changed = [case.change for case in those if case.change is not None]
-        motion = f"{max(changed):.1e}" if changed else ""
+        motion = change_text(max(changed)) if changed else "not computed"
         identified = Counter(not case.mistakes for case in those)[True]
-        rows.append([kind, str(len(those)), str(identified), motion])
+        rows.append([kind, texts[kind], str(len(those)), str(identified), motion])
     if wrong:
         yield from markdown_table(Table("", text_columns("change", "model", "wrong in the output"), wrong))
         yield "\nTable: changes that are not identified.\n"
-    heads = text_columns("change", "files", "identified", "largest change of accelerations")
+    heads = (
+        *text_columns("change", "what is changed, by how much"),
+        *number_columns("files", "identified", "largest change of accelerations"),
+    )
     yield from markdown_table(Table("", heads, rows))
-    yield "\nTable: kinds of changes, files with them, and the largest relative change of accelerations."
+    yield "\nTable: kinds of changes, files with them, and the largest relative change of accelerations.\n"
+    yield from markdown_table(Table("", text_columns("model", "file"), [_model_row(each) for each in models]))
+    yield "\nTable: the models, at the commits of the list."
+
+
+def _model_row(model: ListedModel) -> list[str | Cell]:
+    """Return the name of a model, and its repository, commit and file."""
+    return [model.name, f"{model.file.repository} {model.file.commit[:SHORT_COMMIT]}: {model.file.file}"]
 
 
 @click.command()
@@ -202,7 +232,7 @@ def main(models: Path, folder: Path, only: str, target: Path | None) -> None:
                     missed = " MISSED" if case.is_missed else ""
                     click.echo(f"{case.model}: {', '.join(case.kinds)}: {verdict}{missed} ({case.change})")
         if target is not None:
-            write(target, list(table(cases)))
+            write(target, list(table(listed, cases)))
             click.echo(f"wrote {target}")
     except CrosscheckError as error:
         raise click.ClickException(str(error)) from error

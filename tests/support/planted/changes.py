@@ -204,7 +204,7 @@ def mass_missing(file: ModelText, random: np.random.Generator) -> Plant:
 
 @common
 def part_added(file: ModelText, random: np.random.Generator) -> Plant:
-    """Fix a small part to a body."""
+    """Fix a part of a tenth of its mass to a body."""
     body = chosen(random, _heavy(file))
     own = file.inertial(body)
     file.add_fixed(
@@ -227,7 +227,7 @@ def massless_link_added(file: ModelText, random: np.random.Generator) -> Plant:
 
 @common
 def link_split(file: ModelText, random: np.random.Generator) -> Plant:
-    """Write a body as two that are fixed to each other, which changes nothing."""
+    """Split a body into two fixed bodies of 70 and 30 % of its mass, which changes nothing."""
     body = chosen(random, _heavy(file))
     own = file.inertial(body)
     # parts that lie above each other along the axis of the largest moment have the whole's moments
@@ -383,7 +383,7 @@ def zero_of_joint(file: ModelText, random: np.random.Generator) -> Plant:
 
 @common
 def link_turned_about_its_axis(file: ModelText, random: np.random.Generator) -> Plant:
-    """Turn a link about its joint by 0.3 rad without its limits."""
+    """Turn a link about its joint by 0.3 rad and leave the limits."""
     hinges = _free_to_turn(file)
     joint = chosen(random, hinges)
     _turned(file, joint, hinges[joint], turn(file.axis(joint), 0.3))
@@ -403,7 +403,7 @@ def link_turned(file: ModelText, random: np.random.Generator) -> Plant:
 
 @common
 def frame_turned(file: ModelText, random: np.random.Generator) -> Plant:
-    """Turn the frame of a link with all that is in it written in the new frame, which changes nothing."""
+    """Turn the frame of a link by 1 rad, with all contents in the new frame, which changes nothing."""
     hinges = _with_child(file)
     body = chosen(random, hinges.values())
     file.set_frame(body, Placement(np.zeros(3), turn(np.array([1.0, 2.0, 3.0]), 1.0)))
@@ -412,7 +412,7 @@ def frame_turned(file: ModelText, random: np.random.Generator) -> Plant:
 
 @common
 def frame_moved(file: ModelText, random: np.random.Generator) -> Plant:
-    """Move the frame of a link along its joint's axis, which changes nothing."""
+    """Move the frame of a link by 5 cm along its joint's axis, which changes nothing."""
     hinges = _with_child(file)
     joint = chosen(random, hinges)
     body = hinges[joint]
@@ -433,25 +433,25 @@ def _number(
 
 @common
 def damping(file: ModelText, random: np.random.Generator) -> Plant:
-    """Change the damping of a joint."""
+    """Make the damping of a joint larger by 50 %, or give it 0.3 N m s/rad."""
     return _number(file, random, "damping", Quantity.DAMPING, 0.3)
 
 
 @common
 def dry_friction(file: ModelText, random: np.random.Generator) -> Plant:
-    """Change the dry friction of a joint."""
+    """Make the dry friction of a joint larger by 50 %, or give it 0.2 N m."""
     return _number(file, random, "friction", Quantity.FRICTION, 0.2)
 
 
 @common
 def effort_limit(file: ModelText, random: np.random.Generator) -> Plant:
-    """Change the effort limit of a joint."""
+    """Make the effort limit of a joint larger by 50 %, or give it 50 N m."""
     return _number(file, random, "effort", Quantity.EFFORT, 50.0)
 
 
 @common
 def limits(file: ModelText, random: np.random.Generator) -> Plant:
-    """Change the upper limit of a joint by 0.2 rad."""
+    """Raise the upper limit of a joint by 0.2 rad."""
     limits = {joint: file.limits(joint) for joint in _with_child(file)}
     joint = chosen(random, (name for name, each in limits.items() if each is not None))
     low, high = limits[joint] or (0.0, 0.0)
@@ -502,7 +502,7 @@ def masses_rounded(file: ModelText, random: np.random.Generator) -> Plant:
 
 @common
 def masses_in_grams(file: ModelText, random: np.random.Generator) -> Plant:
-    """Multiply all masses and inertias with 1000."""
+    """Multiply all masses and inertias by 1000."""
     bodies = [body for body in file.bodies() if file.has_inertial(body)]
     if len(bodies) < 3:
         raise NotApplicable("the file states no masses")
@@ -514,7 +514,7 @@ def masses_in_grams(file: ModelText, random: np.random.Generator) -> Plant:
 
 @common
 def lengths_in_millimeters(file: ModelText, random: np.random.Generator) -> Plant:
-    """Multiply all lengths with 1000, and inertias with their square."""
+    """Multiply all lengths by 1000, and inertias by 1e6."""
     if not file.moving_bodies():
         raise NotApplicable("the file does not state all masses")
     for body in file.bodies():
@@ -534,7 +534,7 @@ def lengths_in_millimeters(file: ModelText, random: np.random.Generator) -> Plan
 
 @common
 def left_and_right_exchanged(file: ModelText, random: np.random.Generator) -> Plant:
-    """Exchange the mass properties of a left and a right link."""
+    """Exchange the mass properties of a left and the same right link."""
     names = {*_heavy(file)}
     pairs = {}
     for left in names:

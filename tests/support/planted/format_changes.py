@@ -95,7 +95,7 @@ def gear(file: MjcfText, random: np.random.Generator) -> Plant:
 
 @of_mjcf
 def sign_of_gear(file: MjcfText, random: np.random.Generator) -> Plant:
-    """Reverse a gear."""
+    """Reverse the sign of a gear."""
     name = chosen(random, _drives(file))
     file.set(_drives(file)[name], gear=text(*-file.model.actuator(name).gear))
     return one(name, Quantity.GEAR, 2.0)
@@ -103,7 +103,7 @@ def sign_of_gear(file: MjcfText, random: np.random.Generator) -> Plant:
 
 @of_mjcf
 def kp(file: MjcfText, random: np.random.Generator) -> Plant:
-    """Make the stiffness of a servo larger by 30 %."""
+    """Make the stiffness (kp) of a servo larger by 30 %."""
     name = chosen(random, _servos(file))
     _set_law(file, name, 1.3, 1.0)
     return one(name, Quantity.KP, 0.3)
@@ -111,7 +111,7 @@ def kp(file: MjcfText, random: np.random.Generator) -> Plant:
 
 @of_mjcf
 def kv(file: MjcfText, random: np.random.Generator) -> Plant:
-    """Make the damping of a servo larger by 30 %."""
+    """Make the damping (kv) of a servo larger by 30 %."""
     servos = [name for name in _servos(file) if file.model.actuator(name).biasprm[2]]
     name = chosen(random, servos)
     _set_law(file, name, 1.0, 1.3)
@@ -130,7 +130,7 @@ def control_limits(file: MjcfText, random: np.random.Generator) -> Plant:
 
 @of_mjcf
 def force_limits(file: MjcfText, random: np.random.Generator) -> Plant:
-    """Limit the force of a drive, or halve its limits."""
+    """Halve the force limits of a drive, or give it limits of 20 N m."""
     name = chosen(random, _drives(file))
     own = file.model.actuator(name)
     is_limited = bool(own.forcelimited[0])
@@ -170,7 +170,7 @@ def motor_on_another_joint(file: MjcfText, random: np.random.Generator) -> Plant
 
 @of_mjcf
 def armature(file: MjcfText, random: np.random.Generator) -> Plant:
-    """Change the armature of a joint."""
+    """Make the armature of a joint larger by 50 %, or give it 0.01 kg m^2."""
     joint = chosen(random, file.hinges())
     value = file.number(joint, "armature")
     file.set_number(joint, "armature", 1.5 * value if value else 0.01)
@@ -179,7 +179,7 @@ def armature(file: MjcfText, random: np.random.Generator) -> Plant:
 
 @of_mjcf
 def stiffness(file: MjcfText, random: np.random.Generator) -> Plant:
-    """Change the spring of a joint, or give it one."""
+    """Make the spring of a joint stiffer by 50 %, or give it 5 N m/rad."""
     joint = chosen(random, file.hinges())
     value = file.number(joint, "stiffness")
     file.set_number(joint, "stiffness", 1.5 * value if value else 5.0)
@@ -274,7 +274,7 @@ def _set_option(file: MjcfText, **attributes: str) -> None:
 
 @of_mjcf
 def gravity(file: MjcfText, random: np.random.Generator) -> Plant:
-    """Make gravity 9 m/s^2."""
+    """Set gravity to 9 m/s^2."""
     before = np.linalg.norm(file.model.opt.gravity)
     _set_option(file, gravity="0 0 -9")
     return Plant((Expected("", Quantity.GRAVITY, abs(9.0 - float(before)) / float(before)),))
@@ -289,7 +289,7 @@ def time_step(file: MjcfText, random: np.random.Generator) -> Plant:
 
 @of_mjcf
 def integrator(file: MjcfText, random: np.random.Generator) -> Plant:
-    """Choose another integrator, which does not change the robot."""
+    """Replace RK4 by Euler, or another integrator by RK4, which does not change the robot."""
     is_rk4 = file.model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4)
     _set_option(file, integrator="Euler" if is_rk4 else "RK4")
     return Plant(conventions=(Quantity.INTEGRATOR,))
@@ -330,7 +330,7 @@ def base_tilted(file: MjcfText, random: np.random.Generator) -> Plant:
 
 @of_mjcf
 def base_moved(file: MjcfText, random: np.random.Generator) -> Plant:
-    """Put a fixed base elsewhere and turn it about the vertical, which changes nothing."""
+    """Move a fixed base by 0.37 m and turn it by 1 rad about the vertical, which changes nothing."""
     base = _fixed_base(file)
     elsewhere = Placement(np.array([0.3, 0.1, 0.2]), turn(np.array([0.0, 0.0, 1.0]), 1.0))
     file.set_placement(base, elsewhere @ file.placement(base))
@@ -374,7 +374,7 @@ def size_of_shape(file: MjcfText, random: np.random.Generator) -> Plant:
 
 @of_urdf
 def speed_limit(file: UrdfText, random: np.random.Generator) -> Plant:
-    """Change the speed limit of a joint."""
+    """Make the speed limit of a joint larger by 50 %."""
     joints = [joint for joint in file.hinges() if 0.0 < file.number(joint, "speed") < math.inf]
     joint = chosen(random, joints)
     file.set_number(joint, "speed", 1.5 * file.number(joint, "speed"))
