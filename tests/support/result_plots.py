@@ -214,7 +214,7 @@ QUANTITIES = (
 
 def planted() -> Figure:
     """Plot the largest change of motion of each kind of injected change, and how many are identified."""
-    table = page_table("planted.md", "change", "files")
+    table = page_table("planted.md", "change", "what is changed, by how much")
     files, identified = (
         np.array([float(text) for text in table.column(head)]) for head in ("files", "identified")
     )
