@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -50,8 +51,9 @@ from newton_euler.scalars import Array
 CONTROLLER_OPTION = "controller"
 """Name of the option by which a scene of the library chooses its controller."""
 
-MIN_OUTPUTS = 1000
-"""Smallest number of outputs of a run, from which mean values and integrals over time are computed."""
+MIN_OUTPUTS, MAX_OUTPUTS = 1000, 20_000
+"""Smallest number of outputs of a run, from which mean values and integrals over time are computed, and largest
+number. A digital law has an output in each of its periods, in which its force is constant."""
 
 
 CONTROLLERS_FILES = "controllers.json", "controllers.csv"
@@ -97,6 +99,13 @@ def controllers(scene: str, given: Mapping[str, str | float]) -> Iterator[tuple[
         if not _targets(loaded):
             raise CrosscheckError(f"scene {loaded.name!r} has no control law that follows a target")
         yield name or str(given.get(CONTROLLER_OPTION, "as declared")), loaded
+
+
+def _output_period(scene: Scene) -> float:
+    """Return the time between two outputs, s, in which no force of a digital law is missed."""
+    of_laws = min((law.period for law in scene.sampled), default=math.inf)
+    shortest = max(of_laws, scene.duration / MAX_OUTPUTS)
+    return min(scene.output_period, scene.duration / MIN_OUTPUTS, shortest)
 
 
 def performance(scene: Scene, run: Trajectory) -> dict[str, Performance]:
@@ -190,11 +199,7 @@ def compared(
     rows, missing, errors = list[ControllerRun](), list[str](), Reasons()
     pairs = list(product(controllers(scene, given), choose(engines)))
     for (name, loaded), engine in with_progress(pairs, progress, "run"):
-        with_outputs = replace(
-            loaded,
-            output_period=min(loaded.output_period, loaded.duration / MIN_OUTPUTS),
-            outputs=frozenset({"actuation"}),
-        )
+        with_outputs = replace(loaded, output_period=_output_period(loaded), outputs=frozenset({"actuation"}))
         if error := failure(engine, partial(_run, name, with_outputs, rows)):
             missing.append(f"{name}: no run: {error}")
             errors.setdefault(engine.name, error)

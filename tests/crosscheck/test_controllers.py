@@ -11,7 +11,7 @@ import pytest
 from command_line import csv_rows, run
 from mechanisms import mass_on_rail
 
-from crosscheck.design.controllers import performance
+from crosscheck.design.controllers import compared, performance
 from crosscheck.library import load
 from newton_euler import simulate
 from newton_euler.model.control import PD, ComputedTorque, StateFeedback
@@ -68,6 +68,17 @@ def test_the_table_has_a_row_per_controller_and_engine(capsys, tmp_path):
     assert (status, err) == (0, "")
     page = (tmp_path / "report.html").read_text()
     assert all(f"{error:.3g}" in page for error in errors.values())
+
+
+def test_every_period_of_a_digital_law_is_judged():
+    """The largest force is between outputs every 2 ms, the default of the command."""
+    given = {"controller": "computed_torque", "period": 0.0005, "delay": 1, "resolution": 1e-5}
+    (found,), _ = compared("tracker_computed_torque", given, ["newton_euler"], lambda _: None)
+    scene = replace(load("tracker_computed_torque", **given), outputs=frozenset({"actuation"}))
+    runs = (simulate(replace(scene, output_period=period)) for period in (0.0005, 0.002))
+    fine, coarse = (np.max(np.abs(each.actuator_force)) for each in runs)
+    assert coarse < 0.96 * fine
+    assert found.performance.force_peak == pytest.approx(fine, rel=1e-9)
 
 
 def test_hinges_have_their_units(capsys, tmp_path):
