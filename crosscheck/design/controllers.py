@@ -52,8 +52,8 @@ CONTROLLER_OPTION = "controller"
 """Name of the option by which a scene of the library chooses its controller."""
 
 MIN_OUTPUTS, MAX_OUTPUTS = 1000, 20_000
-"""Smallest number of outputs of a run, from which mean values and integrals over time are computed, and largest
-number. A digital law has an output in each of its periods, in which its force is constant."""
+"""Smallest and largest number of outputs of a run, from which mean values and integrals over time are
+computed. A digital law has an output in each of its periods, in which its force is constant."""
 
 
 CONTROLLERS_FILES = "controllers.json", "controllers.csv"
