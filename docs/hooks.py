@@ -7,6 +7,7 @@ render without scripts, fonts or a network. `latex2mathml` converts them.
 from __future__ import annotations
 
 import html
+import posixpath
 import re
 import subprocess
 from collections.abc import Iterator
@@ -46,6 +47,9 @@ FUNCTION = re.compile(r"(<mi>(?:cos|sin|tan)</mi>)(?!<mo stretchy=\"false\">&#x0
 CODE = re.compile(r'<div class="highlight">(.*?)</div>', re.DOTALL)
 OUTPUT = re.compile(r'<span class="go">.*?</span>', re.DOTALL)
 PROMPT = '<span class="gp">'
+
+LINK_OF_NOTEBOOK = re.compile(r'href="([^":#]+\.(?:md|ipynb))(#[^"]*)?"')
+"""A link to a page by its file, as Jupyter follows it. MkDocs converts links of Markdown pages only."""
 
 TABLE = re.compile(r"<table>(.*?)</table>(\s*<p>Table: .*?</p>)?", re.DOTALL)
 MAX_OPEN_ROWS = 16
@@ -204,7 +208,11 @@ def pages_of(nav: object, folder: str) -> Iterator[str]:
 
 
 def on_page_content(content: str, page: Page, files: Files, **_: object) -> str:
-    """Convert formulas, mark the commands of console blocks, link Python names, and fold long tables."""
+    """Convert formulas and links of notebooks, mark commands, link Python names, fold long tables."""
+    if page.file.src_uri.endswith(".ipynb"):
+        content = LINK_OF_NOTEBOOK.sub(
+            lambda link: f'href="{address(link[1], page, files)}{link[2] or ""}"', content
+        )
     content = FORMULA.sub(mathematics, content)
     content = CODE.sub(copied, content)
     if page.file.src_uri.startswith("results/"):
@@ -251,6 +259,17 @@ def linked(places: dict[str, tuple[str, str]], page: Page, files: Files, mention
     if file is None:
         return mention[0]
     return f'<a href="{file.url_relative_to(page.file)}#{anchor}">{mention[0]}</a>'
+
+
+def address(path: str, page: Page, files: Files) -> str:
+    """Return the relative address of a page that another page names by the path of its file."""
+    source = posixpath.normpath(posixpath.join(posixpath.dirname(page.file.src_uri), path))
+    target = files.get_file_from_path(source)
+    if target is None:
+        raise ValueError(
+            f"{page.file.src_uri}: the link '{path}' leads to no page; write a path relative to the file"
+        )
+    return target.url_relative_to(page.file)
 
 
 def mathematics(formula: re.Match[str]) -> str:

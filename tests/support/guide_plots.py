@@ -216,6 +216,25 @@ def four_bar() -> Figure:
     return figure
 
 
+def design() -> Figure:
+    """Plot poses of the four-bar of the quickstart for designers, and the forces of its joints."""
+    run = newton_euler.simulate(load(str(ROOT / "examples" / "four_bar.yaml")))
+    figure, (left, right) = side_by_side(2, 3.2)
+    for k, color in zip((0, 20, 43), (OTHER_COLORS[2], GRAY, BLUE), strict=True):
+        crank, rocker = (run.joint(name).coordinates[k, 0] for name in ("motor", "pivot"))
+        elbow = np.array([0.2 * np.sin(crank), 0.2 * np.cos(crank)])
+        wrist = np.array([0.6 + 0.3 * np.sin(rocker), 0.3 * np.cos(rocker)])
+        points = np.array([[0.0, 0.0], elbow, wrist, [0.6, 0.0]])
+        left.plot(*points.T, "o-", color=color, linewidth=3, label=f"{run.time[k]:g} s")
+    left.set(xlabel="x, m", ylabel="z, m", aspect="equal")
+    left.legend(fontsize="small")
+    for k, name in enumerate(run.joint_names):
+        right.plot(run.time, np.linalg.norm(run.reaction_force[:, k], axis=1), label=name)
+    right.set(xlabel="time, s", ylabel="force, N", ylim=(2.0, 16.0))
+    right.legend(fontsize="small", loc="lower right", ncols=4)
+    return figure
+
+
 def page_file(page: str, name: str) -> str:
     """Return the text of a file that a page contains."""
     return (ROOT / "docs" / page).read_text().partition(f'title="{name}"\n')[2].partition("```")[0]
@@ -245,7 +264,7 @@ def explosion() -> Figure:
 def own_run_pinocchio() -> Figure:
     """Plot the errors of loops with Pinocchio, from the output on the page."""
     page = " ".join((ROOT / "docs" / "how_to" / "own_run_pinocchio.md").read_text().split())
-    usual, own = re.findall(r"([\d.]+) % of the motion run", page)
+    own, usual = re.findall(r"([\d.]+) % of the motion run", page)
     fixes = re.findall(r"\(([\d.e-]+) %\), (?:same|[\d.]+ times the) run time", page)
     assert len(fixes) == 2, fixes
     rows = {
@@ -278,9 +297,7 @@ def findings() -> Figure:
 
 def limits_as_forces() -> Figure:
     """Plot a block that meets its limit, in MuJoCo and as a scene with forces."""
-    text = page_file("how_to/limits_as_forces.md", "block.xml").replace(
-        'frictionloss="6"', 'frictionloss="0.6"'
-    )
+    text = page_file("how_to/limits_as_forces.md", "block.xml")
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -479,6 +496,7 @@ GUIDE_PLOTS: dict[str, Callable[[], Figure]] = {
     "plot_wound_springs": wound_springs,
     "plot_explosion": explosion,
     "plot_own_run_pinocchio": own_run_pinocchio,
+    "plot_design": design,
     "plot_findings": findings,
     "plot_limits_as_forces": limits_as_forces,
     "plot_identification_friction": identification_friction,

@@ -289,7 +289,7 @@ def notebook(folder: Path) -> Image.Image:
     NotebookClient(content, resources={"metadata": {"path": folder}}, record_timing=False).execute()
     for cell in content.cells:
         if cell.cell_type == "code":
-            cell.outputs = [output for output in cell.outputs if WIDGET not in output.data]
+            cell.outputs = [output for output in cell.outputs if WIDGET not in output.get("data", {})]
     content.metadata.pop("widgets", None)
     content.metadata[MADE_FROM] = digest(notebook_content())
     nbformat.write(content, NOTEBOOK)

@@ -86,28 +86,34 @@ def table(name: str) -> str:
                 try:
                     found = entries(probe, folder)
                 except NewtonEulerError as error:
-                    yield [probe.element, "refused", shown(str(error).replace(f"{folder}/", ""))]
+                    yield [probe.element, "refused", shown(re.sub(r"^.*?: line \d+: ", "", str(error)))]
                     continue
                 new = [entry for key, entry in found.items() if key not in without]
-                # frames that tell nothing about the element, unless there is nothing else
-                told = [entry for entry in new if not re.match("part of|its known parts", entry.how)] or new
-                yield [probe.element, fate(new), shown("; ".join(dict.fromkeys(entry.how for entry in told)))]
+                result = fate(new)
+                # what the element needs, such as the limits beside a speed, tells nothing about the element
+                about = [entry for entry in new if fate([entry]) == result]
+                told = [entry for entry in about if not re.match("part of|its known parts", entry.how)]
+                yield [
+                    probe.element,
+                    result,
+                    shown("; ".join(dict.fromkeys(entry.how for entry in told or about))),
+                ]
 
-    columns = text_columns("element", "result", "the reader reports")
+    columns = text_columns("element", "simulated", "the reader reports")
     return "\n".join(markdown_table(Table("", columns, [*rows()]))) + "\n"
 
 
 def fate(entries: list[Any]) -> str | Cell:
     """Return the worst result of some entries."""
     if any(entry.is_unsimulated for entry in entries):
-        return Cell("not simulated", "fails")
+        return Cell("no", "fails")
     if any(entry.fate == "approximated" for entry in entries):
         return "approximated"
     if any(entry.is_soft_in_file for entry in entries):
         return "rigid"
     if any(entry.fate == "exactly" for entry in entries):
-        return "exactly"
-    return "moves nothing"
+        return "yes"
+    return "not needed"
 
 
 def shown(how: str) -> str:
