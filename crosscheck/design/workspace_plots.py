@@ -9,7 +9,7 @@ import numpy as np
 
 from crosscheck.design.workspace_map import WorkspaceMap
 from crosscheck.report.plots import own_style, png
-from crosscheck.support.colors import BLUE, VERMILION
+from crosscheck.support.colors import BLUE, OTHER_COLORS, VERMILION
 from newton_euler.scalars import Array
 
 if TYPE_CHECKING:
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 SINGULAR_COLOR, EDGE_COLOR = VERMILION, BLUE
 """Colors of singular configurations, and of the edges of collisions; no engine is drawn."""
 
-COLLISION_COLOR = "0.75"
-"""Gray of positions at which bodies collide."""
+COLLISION_COLOR = OTHER_COLORS[0]
+"""Color of positions at which bodies collide, which the color map of the values does not have."""
 
 COLORS = "cividis"
 """Color map of all values."""

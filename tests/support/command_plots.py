@@ -89,11 +89,7 @@ PLOTS = {
         "sun/tracker_sun/day.png",
     ),
     "sun_seville": Plot("place_to_tracker.md", "crosscheck sun --latitude 37.39 ", "sun/tracker_sun/day.png"),
-    "sun_row": Plot(
-        "sun_own_tracker.md",
-        "crosscheck sun row.xml ",
-        "sun/row/day.png",
-    ),
+    "sun_gimbal": Plot("sun_own_tracker.md", "crosscheck sun gimbal.xml ", "sun/gimbal/day.png"),
     "sun_year": Plot(
         "sun_year.md", "crosscheck year --latitude 37.4 --longitude -6 ", "year/tracker_sun/year.png"
     ),
