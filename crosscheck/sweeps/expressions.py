@@ -255,7 +255,8 @@ class Expression:
         """
         self.text, self.signed, self.elements = text.strip(), False, dict[str, set[str]]()
         self._contains_time = False
-        self._labels, self._has_work = labels(scene), bool(scene.control or scene.forces or scene.motions)
+        self._labels, self._motions = labels(scene), scene.motions
+        self._has_work = bool(scene.control or scene.forces or scene.motions)
         try:
             if len(text) > MAX_EXPRESSION_LENGTH:
                 raise ValueError(f"the expression is longer than {MAX_EXPRESSION_LENGTH} characters")
@@ -358,6 +359,10 @@ class Expression:
         element_dimension, component_dimension = DIMENSIONS[name]
         if element and not element_dimension:
             raise ValueError(f"{name} belongs to the whole mechanism, not to {element!r:.100}")
+        if element_dimension and not self._labels[element_dimension]:
+            joint = next((motion.joint for motion in self._motions), None)
+            drive = f"; for its prescribed motions, use {joint}.reaction_torque" if joint else ""
+            raise ValueError(f"{name}: the scene has no {element_dimension}{drive}")
         if element and element not in self._labels[element_dimension]:
             raise UnknownNameError(element_dimension, element, self._labels[element_dimension])
         if name == "work" and not self._has_work:

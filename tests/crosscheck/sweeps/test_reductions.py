@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,8 @@ from crosscheck.sweeps.expressions import Outputs
 from crosscheck.sweeps.reductions import pruned, reductions
 from newton_euler import simulate_batch
 from newton_euler.model.euler_parameters import rotations
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
 
 MASSES = {"dumbbell.mass": np.linspace(1.0, 2.0, 7)}
 
@@ -175,3 +179,10 @@ def test_texts_that_are_no_reduction_are_one_line(tracker, text, words):
     assert words in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
     assert len(str(caught.value)) < 500
+
+
+@pytest.mark.parametrize("text", ["peak:actuator_force", "peak:motor.actuator_force"])
+def test_a_scene_without_actuators_has_no_actuator_force(text):
+    with pytest.raises(CrosscheckError, match=r"no actuator; .* motor\.reaction_torque") as caught:
+        reductions({"it": text}, load(str(EXAMPLES / "planar_slider_crank.yaml")))
+    assert "actuator_force" in str(caught.value)
