@@ -254,6 +254,8 @@ def workspace_command(
         progress("writing")
         whole = workspace.report(found)
         written = workspace.write(found, whole, paths[0].parent, scene, options)
-    files = ", ".join(str(path) for path in written)
-    show(whole, f"wrote {files}", f"more  {next_step('report', paths[0].parent)}")
+    notes = [f"wrote {', '.join(map(str, written))}"]
+    if not any(path.suffix == ".png" for path in written):
+        notes.append("no picture, which needs poses over two coordinates or a --point that moves in a plane")
+    show(whole, *notes, f"more  {next_step('report', paths[0].parent)}")
     return AGREE

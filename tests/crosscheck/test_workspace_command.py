@@ -58,6 +58,7 @@ def test_one_coordinate_without_shapes_has_rows_alone(capsys, tmp_path):
     status, out, _ = run(capsys, "workspace", "pendulum", "--vary", "pivot=-1:1:5", "--output", tmp_path)
     assert status == 0
     assert "5 of 5" in out
+    assert "no picture" in out
     assert sorted(path.name for path in tmp_path.iterdir()) == ["workspace.csv", "workspace.json"]
 
 

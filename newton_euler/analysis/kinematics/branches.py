@@ -21,7 +21,7 @@ from newton_euler.analysis.kinematics.continuation import (
     random_coordinates,
     reachable,
 )
-from newton_euler.analysis.kinematics.poses import Poses, goals_of, poses_of
+from newton_euler.analysis.kinematics.poses import Poses, goals_of, needed_goals, poses_of
 from newton_euler.arguments import checked
 from newton_euler.errors import OptionError
 from newton_euler.model.joint import Key
@@ -125,8 +125,7 @@ def assembly_branches(
     chain, names, goal = goals_of(scene, coordinates, axis, towards, measure, start)
     goal_rows = chain.goal_count + 2 * chain.has_axis_goal
     if goal_rows != chain.freedoms:
-        needed = f"as many as degrees of freedom, {chain.freedoms}; an axis counts as two"
-        raise OptionError("number of goals", goal_rows, needed)
+        raise OptionError("number of goals", goal_rows, f"{needed_goals(chain)}; an axis counts as two")
     if len(goal.coordinates) > 1:
         raise OptionError(
             "number of values", len(goal.coordinates), "one of each coordinate, and one direction"

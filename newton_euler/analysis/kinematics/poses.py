@@ -369,6 +369,15 @@ def chain_of(
     return Chain(scene, keys, goal_count, axis, has_axis_goal, _start(scene, start))
 
 
+def needed_goals(chain: Chain) -> str:
+    """Describe the number of coordinates that determine a pose, and the motions that hold others."""
+    text = f"as many as degrees of freedom, {chain.freedoms}"
+    held = [repr(motion.joint) for motion in chain.scene.motions if motion.key not in chain.keys]
+    if not held:
+        return text
+    return f"{text} while motions hold {', '.join(held)}; give these coordinates, or delete their motions"
+
+
 def coordinate_values(scene: Scene, name: str | Key, given: object) -> Array:
     """Return values (n,) or () of a joint coordinate as finite floats; raises `MechanismError`."""
     where = f"joint {scene.mechanism.coordinate(name)[0]!r}"

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -27,7 +27,14 @@ from newton_euler.analysis.kinematics.continuation import (
     random_coordinates,
 )
 from newton_euler.analysis.kinematics.point import Point, body_index, conditioning, directions, rates
-from newton_euler.analysis.kinematics.poses import Poses, chain_of, coordinate_values, goals_of, poses_of
+from newton_euler.analysis.kinematics.poses import (
+    Poses,
+    chain_of,
+    coordinate_values,
+    goals_of,
+    needed_goals,
+    poses_of,
+)
 from newton_euler.arguments import Range, checked
 from newton_euler.errors import OptionError
 from newton_euler.model.joint import Key
@@ -111,7 +118,8 @@ def workspace(
         scene: gives the mechanism and the start.
         grid: values of each coordinate, m or rad from the initial pose, by name of the joint, or by (name,
             number) for joints of several coordinates. There must be as many coordinates as degrees of
-            freedom, and at most 1,000,000 points.
+            freedom, and at most 1,000,000 points. They replace prescribed motions of the scene; other
+            motions hold their values at time 0.
         axis: axis of a body, whose directions are mapped.
         start: pose on the assembly branch that is mapped; the scene's initial state if None.
         point: point of a body, whose positions are mapped.
@@ -215,7 +223,10 @@ def singular_poses(
         >>> print(np.unique(ends.round(6)))
         [-0.49016  -0.384952 -0.015048  0.09016 ]
     """
-    chain = chain_of(scene, coordinates, goal_count=0, axis=axis, has_axis_goal=False, start=None)
+    # prescribed motions of the chosen coordinates are left out, so that the coordinates can move
+    keys = [scene.mechanism.coordinate(name) for name in coordinates]
+    moving = replace(scene, motions=tuple(motion for motion in scene.motions if motion.key not in keys))
+    chain = chain_of(moving, coordinates, goal_count=0, axis=axis, has_axis_goal=False, start=None)
     _check_count(chain)
     # random closed configurations
     q = random_coordinates(chain, count, np.random.default_rng(0))
@@ -239,8 +250,7 @@ def singular_poses(
 def _check_count(chain: Chain) -> None:
     """Raise `OptionError` unless the chosen coordinates are as many as degrees of freedom."""
     if len(chain.keys) != chain.freedoms:
-        needed = f"as many as degrees of freedom, {chain.freedoms}"
-        raise OptionError("number of coordinates", len(chain.keys), needed)
+        raise OptionError("number of coordinates", len(chain.keys), needed_goals(chain))
 
 
 def _no_goals(count: int) -> Goal:

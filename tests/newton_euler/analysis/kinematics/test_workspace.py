@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import tracker_loops
 from finite_difference import jacobian
 
 from crosscheck.library import load
-from newton_euler import Axis, singular_poses, workspace
+from newton_euler import Axis, Polynomial, PrescribedMotion, Scene, singular_poses, workspace
 from newton_euler.errors import OptionError
 
 SLIDERS = "slide_12", "slide_13"
@@ -68,6 +70,28 @@ def test_as_many_coordinates_as_freedoms(names):
         workspace(load("tracker"), {name: [0.0, 0.1] for name in names})
     with pytest.raises(OptionError, match="as many as degrees of freedom, 2"):
         singular_poses(load("tracker"), names)
+
+
+def turning_slider_crank() -> Scene:
+    """Return the slider-crank whose crank turns at its initial speed of 6 rad/s."""
+    return replace(load("slider_crank"), motions=(PrescribedMotion("pivot", Polynomial((0.0, 6.0))),))
+
+
+def test_coordinates_replace_prescribed_motions():
+    turning, angles = turning_slider_crank(), np.linspace(-3.0, 3.0, 7)
+    found = workspace(turning, {"pivot": angles})
+    np.testing.assert_allclose(found.poses.coordinates["pivot"], angles, rtol=0.0, atol=1e-12)
+    assert len(singular_poses(turning, ["pivot"], 10)) == 0  # the rod is long enough for a full turn
+
+
+def test_other_motions_hold_their_joints():
+    turning = turning_slider_crank()
+    with pytest.raises(OptionError) as caught:
+        workspace(turning, {"guide": [0.0, 0.01]})
+    assert "degrees of freedom, 0 while motions hold 'pivot'" in caught.value.needed
+    with pytest.raises(OptionError) as caught:
+        singular_poses(turning, ["guide"])
+    assert "degrees of freedom, 0 while motions hold 'pivot'" in caught.value.needed
 
 
 def test_a_negative_count_is_refused():
