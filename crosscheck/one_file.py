@@ -20,18 +20,25 @@ class Importers(Shown):
     """Comparison of the importers of all engines on one model file.
 
     Attributes:
-        comparison: the complete result.
+        comparison: the complete result, with the comparison of each importer in `comparison.others`.
 
     Examples:
         >>> found: Importers = importers("examples/linkage.xml")
-        >>> found["MuJoCo"].result.value
-        'SAME'
+        >>> found.same, found["MuJoCo"].result.value, found["Pinocchio"].result.value
+        (False, 'SAME', 'NOT DESCRIBED')
     """
 
     comparison: ImportersComparison
 
     def __getitem__(self, importer: str) -> ImporterComparison:
-        """Return what the importer of an engine, such as "MuJoCo", makes of the file."""
+        """Return what the importer of an engine makes of the file.
+
+        Args:
+            importer: name of the engine in texts, such as "MuJoCo" or "Pinocchio".
+
+        Raises:
+            KeyError: for an engine without an importer, or one that is not installed.
+        """
         return {each.reading.importer: each for each in self.comparison.others}[importer]
 
     @property

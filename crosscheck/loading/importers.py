@@ -61,7 +61,7 @@ class Reading:
     """Robot that an importer reads in a file, or its failure.
 
     Attributes:
-        importer: `OWN`, or a key of `importers`.
+        importer: "crosscheck", or the name of the engine in texts, such as "MuJoCo".
         file: the robot that it reads, without variants; None after a failure.
         failure: its failure; None without one.
         message: the importer's own message, or how its process ended; "" without a failure.

@@ -90,7 +90,7 @@ class Log:
 
 @dataclass(frozen=True, eq=False)
 class LogJudgement(Judgement):
-    """Judgement of a log.
+    """Judgement of a log: a `Judgement`, whose `error.relative` and `band` are those of the log, and more.
 
     Attributes:
         name: name of the run.

@@ -156,9 +156,9 @@ class System(Protocol):
         The force f contains gravity, velocity terms and applied forces.
 
         Returns:
-            M (nv, nv) and f (nv,) for joint coordinates. For the Cartesian form with n moving bodies, M is
-            (6 n, 7 n) and f (6 n,): three forces in the world frame and three torques in the body frame for
-            each body, and seven rates for each body in dv/dt.
+            The matrix M of shape (nv, nv) and the force f of shape (nv,) for joint coordinates. The Cartesian
+                form with n moving bodies has M of shape (6 n, 7 n) and f of shape (6 n,). A body then has six
+                rows, a force in the world frame and a torque in the body frame, and seven rates in dv/dt.
         """
 
     def phi(self, q: Array) -> Array:

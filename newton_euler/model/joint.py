@@ -204,13 +204,6 @@ class Joint(Variable):
         point_on_second: (3,) joint point of the second body, m, world at the initial pose; `point` if it is
             not given. It must satisfy the constraints of the joint. Reaction torques are about this point.
         actuated: True if a control law may drive the joint.
-        kind: name of the kind of joint in scene files.
-        axis_names: names of the attributes that are unit axes (3,).
-        vector_names: names of other attributes that are vectors (3,), or arrays of vectors (n, 3).
-        only_closes: True for a joint that is not a sequence of elementary motions (a rod), and so can only
-            close a loop of a spanning tree.
-        point_gap: (3,) m, displacement of the second body's point minus that of the first body's point; zero
-            in joints that you describe, and nonzero in variations of a joint, as in a tolerance study.
     """
 
     name: str
@@ -221,6 +214,7 @@ class Joint(Variable):
     actuated: bool = field(default=False, kw_only=True)
 
     kind: ClassVar[str]
+    """Name of the kind of joint in scene files."""
     # Numbers of the joint that may vary from run to run. `moves_loops`: a change has the effect that loops
     # close in other poses. `opens_joints`: a change violates the joint's constraints at the initial pose
     number_fields: ClassVar = {
@@ -229,9 +223,15 @@ class Joint(Variable):
         "point_on_second": replace(POINT, moves_loops=True, opens_joints=True),
     }
     axis_names: ClassVar[tuple[str, ...]] = ()
+    """Names of the attributes that are unit axes (3,)."""
     vector_names: ClassVar[tuple[str, ...]] = ()
+    """Names of other attributes that are vectors (3,), or arrays of vectors (n, 3)."""
     only_closes: ClassVar[bool] = False
+    """True for a joint that is not a sequence of elementary motions (a rod), and so can only close a loop of
+    a spanning tree."""
     point_gap = np.zeros(3)
+    """(3,) m, displacement of the second body's point minus that of the first body's point; zero in joints
+    that you describe, and nonzero in variations of a joint, as in a tolerance study."""
 
     def __post_init__(self) -> None:
         check_texts(f"joint {quoted(self.name)}", self, "name", "first", "second")

@@ -126,9 +126,14 @@ class Universal(Joint):
 class Revolute(AxisJoint):
     """Revolute joint (hinge), eq. (27): five equations. Its coordinate is the angle about `axis`.
 
+    Attributes:
+        axis: (3,) axis of the hinge, world at the initial pose, of any nonzero length.
+            Positive angles turn the second body about it by the right-hand rule.
+
     Examples:
-        >>> Revolute("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0]).coordinate_kinds
-        ('hinge',)
+        >>> hinge = Revolute("hinge", "ground", "door", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 2.0])
+        >>> hinge.axis.tolist(), hinge.kind, hinge.coordinate_kinds
+        ([0.0, 0.0, 1.0], 'revolute', ('hinge',))
     """
 
     kind: ClassVar[str] = "revolute"
@@ -145,8 +150,12 @@ class Cylindrical(AxisJoint):
     Two equations keep the axes of both bodies parallel (eq. (27)), two keep the joint point on the axis (eq.
     (28)). The coordinates are the displacement along the axis, then the angle about it.
 
+    Attributes:
+        axis: (3,) common axis of slide and hinge, world at the initial pose, of any nonzero length.
+            Positive coordinates move the second body along it, and turn it by the right-hand rule.
+
     Examples:
-        >>> Cylindrical("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0]).coordinate_kinds
+        >>> Cylindrical("pin", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0]).coordinate_kinds
         ('slide', 'hinge')
     """
 
@@ -165,9 +174,13 @@ class Translational(AxisJoint):
     The fifth equation keeps h_i of the first body perpendicular to h_j of the second body; both vectors are
     perpendicular to the axis and to each other at the initial pose.
 
+    Attributes:
+        axis: (3,) direction of the slide, world at the initial pose, of any nonzero length.
+            Positive displacements move the second body along it.
+
     Examples:
-        >>> Translational("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0]).coordinate_kinds
-        ('slide',)
+        >>> Translational("rail", "ground", "cart", [0.0, 0.0, 0.0], axis=[0.0, 3.0, 4.0]).axis.tolist()
+        [0.0, 0.6, 0.8]
     """
 
     kind: ClassVar[str] = "translational"
@@ -187,9 +200,13 @@ class Prismatic(Translational):
     """Slide along `axis` without rotation: the same joint as `Translational`, under the name that robot
     models use.
 
+    Attributes:
+        axis: (3,) direction of the slide, world at the initial pose, of any nonzero length.
+            Positive displacements move the second body along it.
+
     Examples:
-        >>> Prismatic("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0]).coordinate_kinds
-        ('slide',)
+        >>> Prismatic("rail", "ground", "cart", [0.0, 0.0, 0.0], axis=[0.0, 3.0, 4.0]).axis.tolist()
+        [0.0, 0.6, 0.8]
     """
 
     kind: ClassVar[str] = "prismatic"
@@ -197,20 +214,20 @@ class Prismatic(Translational):
 
 @description
 class Screw(Cylindrical):
-    """Screw joint (nut on a spindle): five equations, the four of `Cylindrical` and slide - pitch * angle =
-    0.
+    """Screw joint (nut on a spindle): the displacement is the pitch times the angle; five equations.
 
-    The coordinates are the displacement along the axis, then the angle about it. The fifth equation couples
-    the coordinates. It is not among `constraints`, but evaluated with the couplings in
-    `newton_euler.equations.couplings`.
+    The coordinates are the displacement along the axis, then the angle about it. Both are coupled: four
+    equations are those of `Cylindrical`, and the fifth is displacement - pitch * angle = 0.
 
     Attributes:
+        axis: (3,) axis of the spindle, world at the initial pose, of any nonzero length.
+            Positive coordinates move the second body along it, and turn it by the right-hand rule.
         pitch: meters per radian; positive for a right-handed thread.
 
     Examples:
-        >>> joint = Screw("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0], pitch=0.002)
-        >>> joint.coordinate_kinds
-        ('slide', 'hinge')
+        >>> nut = Screw("nut", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0], pitch=0.002)
+        >>> f"{1e3 * nut.pitch * 2.0 * np.pi:.2f} mm per revolution"
+        '12.57 mm per revolution'
     """
 
     pitch: float = field(kw_only=True)
@@ -231,8 +248,12 @@ class Screw(Cylindrical):
 class Planar(AxisJoint):
     """Planar joint: a plane face of one body slides on a plane face of the other; three equations.
 
-    `axis` is the normal of both faces. The coordinates are the displacements along the two vectors
-    `perpendicular_pair(axis)`, which are fixed in the first body, then the angle about the axis.
+    The coordinates are the displacements along two directions perpendicular to the axis, which are fixed in
+    the first body, then the angle about the axis. Formula (1) of the page "Balls, universal joints and free
+    bodies" of the reference defines both directions.
+
+    Attributes:
+        axis: (3,) normal of both faces, world at the initial pose, of any nonzero length.
 
     Examples:
         >>> Planar("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0]).coordinate_kinds
@@ -270,6 +291,10 @@ class PointOnLine(AxisJoint):
     """Point of the second body on a line of the first body, along `axis`: two equations.
 
     The second body may rotate freely. The coordinate is the displacement along the line.
+
+    Attributes:
+        axis: (3,) direction of the line, fixed in the first body, world at the initial pose, of any nonzero
+            length.
 
     Examples:
         >>> PointOnLine("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0]).coordinate_kinds

@@ -1,7 +1,7 @@
 """Forces of a steady flow on a flat rectangular plate, at any angle of attack on both faces.
 
 The equations accept floats and generic scalars such as expressions of the code generator. All functions are
-smooth. Sources and validity are in the docstring of `newton_euler.WindLoad`.
+smooth. Sources and validity are in docs/reference/python/wind.md.
 """
 
 from __future__ import annotations

@@ -195,7 +195,7 @@ def finding_lines(search: FaultSearch, every: bool = True) -> Iterator[str]:
     if names and every:
         yield f"not observable, {UNOBSERVABLE_MEANS}: {'; '.join(names)}"
     elif names:
-        yield f"not observable: {len(hidden)} faults that change no compared number"
+        yield f"not observable: {len(hidden)} faults that do not change the motion"
 
 
 def _misses(faults: Sequence[FaultResult], search: FaultSearch) -> Iterator[str]:
