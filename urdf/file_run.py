@@ -26,6 +26,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.reading.file_run import Cause, CauseName, FileRun, FileSimulation, evaluations_per_step
 from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
+from urdf.loop_needs import loop_needs
 from urdf.loops import REVOLUTE
 from urdf.pinocchio_reference import PinocchioReference
 from urdf.run_record import ENGINE, Recorder
@@ -110,6 +111,7 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
     Attributes:
         scene: imported scene.
         settings: settings of the user's loop.
+        needs: what a user's loop with Pinocchio's own reader lacks.
         has_all_elements: False, as the loop has no limits and no dry friction.
     """
 
@@ -138,6 +140,7 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
         """
         self.scene, self.settings = scene, settings
         self._reference, self.are_assumed, self._gains = reference, are_assumed, gains
+        self.needs = tuple(loop_needs(reference))
         self._start = np.array(reference.start)
         self._has_dampers = bool(np.any(reference.damping))
         # basis (nv, k) of the velocities that mimics and couplings allow

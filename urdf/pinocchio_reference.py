@@ -225,6 +225,16 @@ class PinocchioReference(ReferenceModel):
         return self._damping
 
     @property
+    def stiffness(self) -> Array:
+        """Stiffness (nv,) of joint springs, N/m or N m/rad."""
+        return self._stiffness
+
+    @property
+    def point_spring_names(self) -> tuple[str, ...]:
+        """Names of the springs and dampers between two points, such as "spring 'strut'"."""
+        return tuple(f"spring {spring.name!r}" for spring in self._springs)
+
+    @property
     def has_springs_or_dampers(self) -> bool:
         """True if springs or dampers act in the model."""
         return bool(np.any(self._stiffness) or np.any(self._damping) or self._springs)

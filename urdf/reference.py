@@ -90,6 +90,11 @@ class UrdfReference(PinocchioReference):
         q = self.integrate(pin.neutral(model), x0)
         self._begin(q, residuals=self._linear @ x0 - self._offsets, scene=scene)
 
+    @property
+    def mimic_names(self) -> tuple[str, ...]:
+        """Names of the mimics, such as "mimic of joint 'finger'"."""
+        return tuple(name for name in self._coupling_elements if name.startswith("mimic of "))
+
     def _dampings(self) -> Array:
         """Return the damping (nv,) of hinges and slides in elements `<dynamics>`, SI units.
 

@@ -22,7 +22,14 @@ from crosscheck.own_run.remedies import MeasuredRemedy, find_remedies
 from crosscheck.own_run.stability import ModeAtFault, ModelChange, Stability, model_changes
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.reading.file_run import OF_UNSTABLE_MODES, CauseName, Event, FileRun, FileSimulation
+from newton_euler.reading.file_run import (
+    OF_UNSTABLE_MODES,
+    CauseName,
+    Event,
+    FileRun,
+    FileSimulation,
+    LoopNeed,
+)
 from newton_euler.reading.import_report import CONTACTS, FRICTION, LIMITS
 
 STATES = 8
@@ -93,6 +100,7 @@ class Judgement:
             file's engine has them.
         approximated: dry friction and limits of the file that the reference has as forces. The difference of
             both models is a part of the error.
+        needs: elements that the run has, and that a user's own time loop lacks unless the user adds them.
         causes: error by property of the settings, largest first; empty for an accurate run. If the run before
             the first event needs no causes, `without` has those of the run without `events`.
         harmless: tested properties without which no run is closer to the reference.
@@ -136,6 +144,7 @@ class Judgement:
     unjudged_from: float | None = None
     extended_to: float | None = None
     approximated: tuple[str, ...] = ()
+    needs: tuple[LoopNeed, ...] = ()
     without: Judgement | None = None
 
     @property
@@ -328,6 +337,7 @@ def _judgement(
         unjudged_from=compared.unjudged_from,
         extended_to=compared.extended_to,
         approximated=tuple(simulation.approximated),
+        needs=tuple(simulation.needs),
     )
 
 

@@ -113,6 +113,9 @@ def _lines(
         yield LineName.NOTE.line(_only_in_run_text(judgement.only_in_run))
     if judgement.approximated:
         yield LineName.NOTE.line(_approximated_text(judgement.approximated))
+    for need in judgement.needs:
+        names = first_names(need.elements, most=MAX_ELEMENTS)
+        yield LineName.NOTE.line(f"needed in your loop, too: {names}; {need.remedy}")
     if judgement.unjudged_from is not None:
         yield LineName.NOTE.line(
             f"judged until {judgement.unjudged_from:.3g} s, as the run has too many time steps"

@@ -130,6 +130,19 @@ class Cause(Generic[SettingsT]):
     is_choice: bool = False
 
 
+@dataclass(frozen=True)
+class LoopNeed:
+    """Elements that the judged run has, and that a user's own program lacks unless the user adds them.
+
+    Attributes:
+        elements: names, such as "rotor of joint 'knee'".
+        remedy: what drops the elements, and what the user does about it.
+    """
+
+    elements: tuple[str, ...]
+    remedy: str
+
+
 def evaluations_per_step(integrator: str) -> int:
     """Return the number of evaluations of the equations of motion per step: four stages of RK4, else one."""
     return 4 if integrator == "RK4" else 1
@@ -145,6 +158,8 @@ class FileSimulation(ABC, Generic[SettingsT]):
         are_assumed: True if the settings are usual ones, since the file has none and the user gives none.
         approximated: dry friction and limits of the file that the scene has as forces, such as "limits of
             joint 'knee'". They act in all runs of the file.
+        needs: elements of the file that the user's own program lacks although these runs have them, if the
+            user writes the time loop.
         has_all_elements: True if runs have all elements of the file, also those that the scene lacks; False
             if runs never have these, such as those of a loop without limits and dry friction.
         max_evaluations: largest number of evaluations of the equations of motion in a run, with the file's
@@ -153,6 +168,7 @@ class FileSimulation(ABC, Generic[SettingsT]):
 
     are_assumed: bool = False
     approximated: Sequence[str] = ()
+    needs: Sequence[LoopNeed] = ()
     has_all_elements: bool = True
     max_evaluations: float = math.inf
     engine: str
