@@ -157,6 +157,8 @@ class CheckedModel:
                 lines = [f"{terminal(tables([comparison]))}{comparison.verdict}"]
                 if comparison.outcome is Outcome.QUIET_ON_A_REDUCED_MODEL:
                     lines.append(f"{comparison.outcome}; to accept: assert_unchanged(allow_reduced=True)")
+                if comparison.moved:
+                    lines.append(f"to accept the change: pytest -k TEST {UPDATE_OPTION} REASON")
                 lines += [f"look: crosscheck view {path}" for path in recordings.values()]
                 lines.append(f"results: {self.folder}")
                 pytest.fail("\n".join(lines), pytrace=False)

@@ -84,7 +84,8 @@ def regress_command(
     The exit status is 0 if no value moved by more than its tolerance, else 1. It is 3 if an engine of a
     baseline is not installed, and 4 if elements of a file act that are not simulated.
     """
-    from crosscheck.regress.report import outcome, quiet_versions, report, tables, verdict
+    from crosscheck.regress.compare import ACTS
+    from crosscheck.regress.report import next_steps, outcome, quiet_versions, report, tables, verdict
     from crosscheck.regress.run import check_baselines, update_baselines
 
     if len(sources) != 1 and (settings or baseline):
@@ -98,10 +99,14 @@ def regress_command(
         with progress_shown() as progress:
             baselines = update_baselines(guarded, reason, progress, engines or ())
         for each, found in zip(guarded, baselines, strict=True):
-            more = f" and {len(found.unsimulated)} elements not simulated" if found.unsimulated else ""
+            elements = sum(not line.startswith(ACTS) for line in found.unsimulated or [])
+            more = f" and {elements} elements not simulated" if elements else ""
             say(f"wrote {each.path}: {len(found.quantities)} quantities{more}")
             for group, why in found.left_out.items():
                 say(f"  {group} left out: {why}")
+            for line in found.unsimulated or []:
+                if line.startswith(ACTS):
+                    say(f"  {line}; comparisons have exit status 4 without --allow-reduced")
         return AGREE  # exit status 0
     folder = output or _usual_folder(sources)
     # `recordings`: files that show a scene and its baseline side by side, by name of each scene that moved
@@ -121,7 +126,10 @@ def regress_command(
         say(f"{name}: left out: {why}")
     say("wrote " + ", ".join(str(path) for path in written))
     say(verdict(compared, left_out), bold=True)
-    return outcome(compared).exit_status(allow_reduced)
+    if not (result := outcome(compared)).passes(allow_reduced):
+        for step in next_steps(compared):
+            say(f"next  {step.replace('`', '')}")
+    return result.exit_status(allow_reduced)
 
 
 def _usual_folder(sources: tuple[str, ...]) -> Path:

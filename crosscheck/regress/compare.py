@@ -47,6 +47,9 @@ LABELED_BY = {"mass": "bodies", "joint point": "joints", "position over time": "
 MAX_LABELS = 5
 """Largest number of bodies, joints or times that one check names."""
 
+ACTS = "acts, and is not simulated"
+"""Beginning of the line of an element that acts, in the list of elements that are not simulated."""
+
 BETWEEN = ("baseline", "now")
 """Names of the two compared results in each check: the stored and the present one."""
 
@@ -286,7 +289,7 @@ def unsimulated(import_report: ImportReport | None, watched: ImportReport | None
     lines = [
         str(entry) for entry in import_report.entries if entry.fate != "exactly" and not entry.moves_nothing
     ]
-    return lines + [f"acts, and is not simulated: {what_acted(entry)}" for entry in watched.acting]
+    return lines + [f"{ACTS}: {what_acted(entry)}" for entry in watched.acting]
 
 
 def check_unsimulated(stored: Sequence[str], present: Sequence[str]) -> list[BaselineCheck]:

@@ -177,7 +177,7 @@ def report(
         parts=[Lines("", lines), *tables(comparisons), *all_checks],
         wall_time=sum(comparison.wall_time for comparison in comparisons),
         charts=_chart(comparisons),
-        next_steps=_next_steps(comparisons),
+        next_steps=next_steps(comparisons) or ["Nothing moved: there is nothing to do."],
     )
 
 
@@ -194,22 +194,21 @@ def _chart(comparisons: Sequence[Comparison]) -> list[BarChart]:
     return log_chart("Changes", caption, measures, "%")
 
 
-def _next_steps(comparisons: Sequence[Comparison]) -> list[str]:
+def next_steps(comparisons: Sequence[Comparison]) -> list[str]:
     """List what the reader can do about moved values, missing engines and elements that act."""
     steps = []
-    for comparison in comparisons:
-        if comparison.moved:
-            command = f"crosscheck regress {comparison.scene} --update REASON"
-            steps.append(
-                f"If the change of {comparison.scene} is intended, store it: `{command}`. If not, undo it."
-            )
+    if moved := [comparison.scene for comparison in comparisons if comparison.moved]:
+        only = f" and {', '.join(moved)} alone" if len(moved) < len(comparisons) else ""
+        steps.append(
+            f"If the change is intended, repeat the command with `--update REASON`{only}; else undo it."
+        )
     if names := dict.fromkeys(name for comparison in comparisons for name in comparison.not_measured):
         steps.append(f"Install {', '.join(names)} to measure the rest of the baselines.")
     if any(comparison.acting for comparison in comparisons):
         steps.append("Accept elements that act and are not simulated with `--allow-reduced`, or avoid them.")
     if any(comparison.cheaper or comparison.more_accurate for comparison in comparisons):
         steps.append("Store the improvement with `--update REASON`, so that a later loss shows.")
-    return steps or ["Nothing moved: there is nothing to do."]
+    return steps
 
 
 def as_json(

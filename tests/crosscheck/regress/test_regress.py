@@ -278,7 +278,9 @@ def test_versions_that_changed_are_named():
     assert found.changed_versions == {"numpy": ("2.0.0", "2.1.0"), "pin": ("none", "4.1")}
     assert quiet_versions([found]).endswith(": numpy 2.0.0 -> 2.1.0, pin none -> 4.1")
     # baselines of several scenes: each package once
-    older = replace(found, last_update=replace(made, versions={"python": "3.11.0", "numpy": "1.9.0"}))
+    older = replace(
+        found, last_update=made.model_copy(update={"versions": {"python": "3.11.0", "numpy": "1.9.0"}})
+    )
     assert quiet_versions([found, older]).endswith(": numpy several -> 2.1.0, pin none -> 4.1")
     assert quiet_versions([]) == ""
 
