@@ -52,8 +52,9 @@ class Verdict(Shown):
         (True, True)
         >>> f"in all {len(verdict.judged)} checks" in repr(verdict)
         True
-        >>> verdict.trajectories["mujoco"].position.shape
-        (1001, 2, 3)
+        >>> angle = verdict.trajectories["mujoco"].joint("pivot").coordinates[-1, 0]
+        >>> f"{angle:.3f} rad after 10 s"
+        '1.292 rad after 10 s'
     """
 
     crosscheck: Crosscheck
