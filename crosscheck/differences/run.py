@@ -1,7 +1,8 @@
 """One run of two robots from the same start: how far apart their bodies get.
 
 In: the `CommonStates` of two robots. Out: a `Run`. Both robots start at the same state, with the same
-controls; if only one of them has a constraint, such as a mimic joint, the state fulfills it. They move for
+controls; if only one of them has a constraint, such as a mimic joint, the state fulfills it. If no pose fits
+both, such as for loops of other sizes, the second robot starts from its nearest closed pose. They move for
 the time in which a body falls by the length of the robot: about its own length, and too short for chaos. One
 integration has both robots and their variants with other last digits, so that all of them have the same
 steps.
@@ -10,11 +11,11 @@ steps.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from crosscheck.differences.common_states import DIGITS_FACTOR, PHASES, CommonStates, Gap, Phase
+from crosscheck.differences.common_states import DIGITS_FACTOR, MAX_OPEN, PHASES, CommonStates, Gap, Phase
 from crosscheck.differences.dynamics import Dynamics
 from crosscheck.differences.motion import Likeness, Motion
 from crosscheck.differences.vectors import apply, cross, rotation_matrix, rotation_vector
@@ -49,6 +50,8 @@ class Run:
         distance: of this body, m, the largest one of the run.
         time: s, at which it occurs.
         uncertainty: of the distance, m, by the digits of both files and the error of the integration.
+        start_distance: m, largest distance of a body of the second robot at its start from where the same
+            body of the first robot starts; 0 if a pose fits both robots. The other distances do not have it.
     """
 
     duration: float
@@ -56,10 +59,11 @@ class Run:
     distance: float
     time: float
     uncertainty: float
+    start_distance: float = 0.0
 
 
 def run_both(states: CommonStates | None, motion: Motion) -> Run | None:
-    """Run two robots from the same state; None if they cannot be in the same states.
+    """Run two robots from the same state; None if the second one cannot be in similar states.
 
     Args:
         states: states of both robots; None for robots without joints in common.
@@ -68,14 +72,19 @@ def run_both(states: CommonStates | None, motion: Motion) -> Run | None:
     if states is None or motion.likeness is Likeness.UNDECIDED:
         return None
     first = states.files[0].robot
+    names = [first.bodies[pair.first[0]].name for pair in states.pairs]
     if _fit(motion.gaps, motion.freedoms):
-        return _run(states, [first.bodies[pair.first[0]].name for pair in states.pairs])
+        return _run(states, names)
     # the second robot may have constraints that the first does not have: its states may fit both
     files = states.files
-    states = CommonStates(files[1], files[0], states.alignment.reversed())
-    if not states.is_closed or not _fit(states.gaps(*states.variants), states.freedoms()):
+    swapped = CommonStates(files[1], files[0], states.alignment.reversed())
+    if swapped.is_closed and _fit(swapped.gaps(*swapped.variants), swapped.freedoms()):
+        return _run(swapped, [first.bodies[pair.second[0]].name for pair in swapped.pairs])
+    # loops of other sizes: robots with equal freedoms start from poses that are close to each other
+    if motion.freedoms[0] != motion.freedoms[1] or not states.is_closed:
         return None
-    return _run(states, [first.bodies[pair.second[0]].name for pair in states.pairs])
+    start_distance = _start_distance(states)
+    return None if start_distance is None else replace(_run(states, names), start_distance=start_distance)
 
 
 def _fit(gaps: Iterable[Gap], freedoms: tuple[int, int]) -> bool:
@@ -88,11 +97,37 @@ def _fit(gaps: Iterable[Gap], freedoms: tuple[int, int]) -> bool:
     return freedoms[0] <= freedoms[1] and not any(gap.is_open for gap in gaps)
 
 
+def _start_distance(states: CommonStates) -> float | None:
+    """Return how far the bodies of the second robot move to its closed pose next to that of the first, m.
+
+    None if the second robot has no closed pose there.
+
+    Args:
+        states: states of both robots.
+    """
+    at, two = PHASES.index(Phase.DRIVEN), states.two
+    wanted = states.coordinates_of_second[:, at : at + 1]
+    closed, error = two.closed(wanted)
+    if error.max() > MAX_OPEN:
+        return None
+    bodies = [pair.second[0] for pair in states.pairs]
+    points = states.points()[1][bodies]
+
+    def poses(coordinates: Array) -> tuple[Array, Array]:
+        """Return places of the centers of mass, and rotation matrices."""
+        placed = two.kinematics(coordinates, np.zeros(coordinates.shape))
+        rotation = placed.rotation[..., bodies, :, :]
+        return placed.position[..., bodies, :] + apply(rotation, points), rotation
+
+    radii = np.array([radius for _, radius in states.spreads])
+    return float(_distance(poses(wanted), poses(closed), radii).max())
+
+
 def _run(states: CommonStates, names: Sequence[str]) -> Run:
     """Run two robots from their first driven state.
 
     Args:
-        states: states of both robots, which fulfill the constraints of both.
+        states: states of both robots; the second one starts at its closed pose nearest to its state.
         names: name of each pair of bodies.
     """
     length = states.one.length

@@ -203,8 +203,14 @@ def gap_text(motion: Motion) -> str:
 
 
 def run_text(run: Run) -> str:
-    """Tell how far apart the same body of both robots gets in a run from the same start."""
-    found = f"both robots simulated for {run.duration:.2g} s from the same start:"
+    """Tell how far apart the same body of both robots gets in a run from the same or the nearest start."""
+    start = "the same start"
+    if run.start_distance:
+        start = (
+            f"their own closed poses, {length(run.start_distance)} from each other, as no pose fits both, "
+            "and displacements from there compared"
+        )
+    found = f"both robots simulated for {run.duration:.2g} s from {start}:"
     rounding = f"{length(run.uncertainty, 2)} that rounding can cause"
     if run.distance <= run.uncertainty:
         return f"{found} no body gets farther from its counterpart than the {rounding}"

@@ -154,17 +154,31 @@ def test_a_coupling_of_one_robot_holds_at_the_start_of_both() -> None:
     assert run.distance == pytest.approx(distance, rel=1e-5)
 
 
-def test_no_run_without_a_pose_that_fits_both() -> None:
-    """The files hold one joint 0.2 rad apart."""
-    one, other = (
-        of_text(HALVES.replace("EQUALITY", f'<joint joint1="jb" polycoef="{each} 0 0 0 0"/>'))
-        for each in (0, 0.2)
-    )
-    states, run = run_of(one, other)
+def test_each_robot_starts_from_its_own_pose_if_none_fits_both() -> None:
+    """The files hold joint jb 0.2 rad apart: body b starts turned by 0.2 rad about its end."""
+    held = '<joint joint1="jb" polycoef="{} 0 0 0 0"/>'
+    one, other = (of_text(HALVES.replace("EQUALITY", held.format(each))) for each in (0, 0.2))
+    _, run = run_of(one, other)
+    assert run is not None
+    body = one.robot.bodies[1]
+    # about its end b turns by the angle, its center moves on a chord
+    radius = np.sqrt(np.trace(body.inertia) / 2 / body.mass)
+    expected = np.hypot(0.15 * 2 * np.sin(0.1), 0.2 * radius)
+    assert run.start_distance == pytest.approx(expected, rel=1e-6)
+    assert run.distance > 100 * run.uncertainty
+    same = run_of(one, one)[1]
+    assert same is not None
+    assert same.start_distance == 0.0
+
+
+def test_no_run_if_the_second_robot_has_no_closed_pose() -> None:
+    """Bars of 0.3 m from the origin reach a point at 0.5 m, and not one at 5 m."""
+    sites = '<site name="end" pos=".3 0 0"/></body></body><site name="point" pos="{} 0 0"/></worldbody>'
+    model = HALVES.replace("</body></body></worldbody>", sites)
+    model = model.replace("EQUALITY", '<connect name="loop" site1="end" site2="point"/>')
+    states, run = run_of(of_text(model.format(0.5)), of_text(model.format(5)))
     assert run is None
-    assert no_run_text(compare_motions(states)) == (
-        "not simulated: no pose fits both robots: constraint 'jb' is violated by 11 deg"
-    )
+    assert "constraint 'loop' is violated by 4.5 m" in no_run_text(compare_motions(states))
 
 
 def test_no_run_without_states() -> None:
