@@ -37,6 +37,9 @@ visible."""
 MARGIN = 0.06
 """Space above and below the curves, as a fraction of the largest value, so that no curve is clipped."""
 
+MAX_TIME_TICKS = 6
+"""Largest number of intervals between the labels of the time axis."""
+
 LEGEND_COLUMNS = 4
 """Largest number of load cases in a row of the legend."""
 
@@ -98,6 +101,8 @@ def load_figure(scene: Scene, runs: Mapping[str, Trajectory], negligible_force: 
         if not drawn:
             continue
         drawn[0].set_title(title, fontsize="medium")
+        if not at_rest:
+            drawn[-1].locator_params(axis="x", nbins=MAX_TIME_TICKS)  # long labels do not touch
         drawn[-1].tick_params(labelbottom=True)  # which shared axes hide in all rows but the last one
         if not at_rest:
             drawn[-1].set_xlabel("time, s")

@@ -245,7 +245,7 @@ def output_lines(checked: Sequence[CheckedRun]) -> Iterator[str]:
     kept = [check for each in checked for check in each.kept]
     if judged := [check for check in kept if check.judged]:
         nearest = max(judged, key=_tolerance_ratio)
-        yield f"outputs in other engines, closest to failing: {_difference(nearest)}"
+        yield f"outputs in crosschecks, closest to failing: {_difference(nearest)}"
     soft = sorted({check.between[0] for check in kept if check.detail == SOFT_CONSTRAINTS})
     unconverged = sum(bool(check.unconverged) for check in kept)
     not_judged = [f"reactions of {name} (soft constraints)" for name in soft]

@@ -93,7 +93,7 @@ class Findings:
 
     @cached_property
     def notes(self) -> list[str]:
-        """Lines of `start`, on outputs in other engines, and, if a kept number depends on reactions, on joint
+        """Lines of `start`, on outputs in crosschecks, and, if a kept number depends on reactions, on joint
         reactions that are not unique because of redundant constraints."""
         depends_on_reactions = any(each.depends_on_reactions for each in self.scalars)
         not_unique = undetermined_lines(self.swept.plan.scene) if depends_on_reactions else ()

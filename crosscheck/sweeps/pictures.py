@@ -146,7 +146,10 @@ def _tornado(axes: Array, effects: Effects) -> None:
         _label_numbers(ax, "x")
         title = with_unit(scalar.label + minus_origin, scalar.unit)
         ax.set_title(f"{title}: means of runs; {annotation}", fontsize="small")
-        ax.legend(fontsize="small", title="parameter in its", title_fontsize="small", loc="lower right")
+    # one legend above all plots, where it covers neither bars nor their numbers
+    handles, labels = axes[0].get_legend_handles_labels()
+    labels = [f"parameter in its {label}" for label in labels]
+    axes[0].figure.legend(handles, labels, loc="outside upper center", ncols=2, fontsize="small")
 
 
 def share_of(effect: Effect) -> str:
