@@ -256,6 +256,6 @@ def workspace_command(
         written = workspace.write(found, whole, paths[0].parent, scene, options)
     notes = [f"wrote {', '.join(map(str, written))}"]
     if not any(path.suffix == ".png" for path in written):
-        notes.append("no picture, which needs poses over two coordinates or a --point that moves in a plane")
+        notes.append("no picture: pictures need two coordinates, or a --point that moves in a plane")
     show(whole, *notes, f"more  {next_step('report', paths[0].parent)}")
     return AGREE
