@@ -185,8 +185,24 @@ class Comparison:
         error = ending.error(run)
         by_position = error.relative_position >= error.relative_rotation
         body, _ = error.position_at if by_position else error.rotation_at
-        outputs = len(ending.until_end(self.reference).time) - 1  # after the start
+        outputs = outputs_before(self.reference.time, events[0].time) - 1  # after the start
         return ending if outputs >= MIN_OUTPUTS and ending.scale.by_body[body].moves(by_position) else None
+
+    def why_too_short(self, event: Event) -> str:
+        """Return why the motion until an event is too short to judge, see `until_event`, and what to do."""
+        if event.time > (end := float(self.reference.time[-1])):
+            return f"the judged run ends at {end:.3g} s, as it has too many time steps"
+        outputs = outputs_before(self.reference.time, event.time) - 1  # after the start
+        if outputs >= MIN_OUTPUTS:
+            return "the motion until then is below the smallest scale"
+        step = self.simulation.settings.timestep
+        found = f"the comparison has {outputs} of the {MIN_OUTPUTS} outputs that it needs until then"
+        # numbers of steps between outputs that `of` makes of an output period: 1, 2 and multiples of four
+        most = math.floor(event.time / step / MIN_OUTPUTS * (1.0 - 1e-9))
+        if most == 0:
+            return f"{found}, and steps of {1e3 * step:g} ms are too long for more"
+        every = 4 * (most // 4) or min(most, 2)
+        return f"{found}; --set output_period={every * step:.10g} gives enough"
 
     @property
     def horizons(self) -> tuple[float | None, ...]:

@@ -30,7 +30,7 @@ from newton_euler.reading.file_run import (
     FileSimulation,
     LoopNeed,
 )
-from newton_euler.reading.import_report import CONTACTS, FRICTION, LIMITS
+from newton_euler.reading.import_report import CONTACTS, FORCE_LIMITS, FRICTION, LIMITS
 
 STATES = 8
 """Number of states of the run at which the fastest mode is sought."""
@@ -96,6 +96,8 @@ class Judgement:
             then is too short to judge; None if the comparison ends with the run.
         only_in_run: elements that act in the judged run although they do not act in the reference's motion.
             Their action is a part of the error.
+        too_short: reason why the motion until the first of `events` is too short, and what to do; "" if it is
+            judged, or if the event is at the start.
         without: judgement of the whole run without all `events`; None if there are none, or if no run of the
             file's engine has them.
         approximated: dry friction and limits of the file that the reference has as forces. The difference of
@@ -145,6 +147,7 @@ class Judgement:
     extended_to: float | None = None
     approximated: tuple[str, ...] = ()
     needs: tuple[LoopNeed, ...] = ()
+    too_short: str = ""
     without: Judgement | None = None
 
     @property
@@ -184,8 +187,9 @@ class Judgement:
 
     @property
     def rests(self) -> bool:
-        """True if nothing moves in the reference, and the run rests as well."""
-        return self.scale.rests and self.error.relative < ACCURATE_BELOW and not self.stopped
+        """True if nothing moves in the compared part of the reference, and the run rests as well."""
+        is_compared = self.error.outputs > 0 and not self.stopped
+        return is_compared and self.scale.rests and self.error.relative < ACCURATE_BELOW
 
     @property
     def is_judged(self) -> bool:
@@ -196,7 +200,7 @@ class Judgement:
     def why_not_judged(self) -> str:
         """Reason why a run is not judged, and what would permit a judgement."""
         if self.until is not None and not self.error.outputs:
-            return _early_event_text(self.events[0])
+            return _early_event_text(self.events[0], self.too_short)
         if not self.error.outputs:
             return early_chaos_text(self.scale)
         return "nothing moves, so that the run tests nothing; needed: a motion, such as --set excitation=on"
@@ -233,15 +237,19 @@ def _plain(value: Any) -> Any:
     return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
 
 
-def _early_event_text(first: Event) -> str:
-    """State that an element acts before the motion is long enough to judge, and what to do."""
+def _early_event_text(first: Event, too_short: str) -> str:
+    """State that an element acts before the motion is long enough to judge, why, and what to do."""
     since = f"from {first.time:.3g} s on" if first.time else "from the start on"
     acts = "act" if is_plural(first) else "acts"
     options = {FRICTION: "--set friction=regularized", LIMITS: "--set limits=compliant"}
     option = next((option for topic, option in options.items() if first.element.startswith(topic)), "")
-    what_to_do = f"; {option} makes a force of it, if the joint is a hinge or a slide" if option else ""
     it = "them" if acts == "act" else "it"
-    return f"{first.element} {acts} {since}, and the reference does not simulate {it}{what_to_do}"
+    parts = [f"{first.element} {acts} {since}, and the reference does not simulate {it}", too_short]
+    if option:
+        parts.append(f"{option} makes a force of {it}, if the joint is a hinge or a slide")
+    if first.element.startswith(FORCE_LIMITS):
+        parts.append("a smaller step of the command keeps the force below the limit")
+    return "; ".join(filter(None, parts))
 
 
 def is_plural(event: Event) -> bool:
@@ -268,7 +276,9 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
     if not (events and simulation.has_all_elements):
         judged = _judgement(whole, run, is_analyzed=True, only_in_run=only_in_run)
         return replace(judged, events=events)
-    compared = whole.until_event(events, run) or whole.ending_at(0.0)
+    until_event = whole.until_event(events, run)
+    compared = until_event or whole.ending_at(0.0)
+    too_short = whole.why_too_short(events[0]) if until_event is None and events[0].time else ""
     # causes and remedies are those of the run as it stands if its error needs them
     needs_causes = not run.stopped and compared.error(run).band in (Band.OFF, Band.WRONG)
     own = _judgement(
@@ -279,7 +289,7 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
     )
     reduced = replace(whole, reduced=True)
     without = _judgement(reduced, reduced.run_once(simulation.settings), is_analyzed=not needs_causes)
-    return replace(own, events=events, without=without)
+    return replace(own, events=events, too_short=too_short, without=without)
 
 
 def _judgement(

@@ -78,7 +78,10 @@ def own_run_lines(
     lines = list(_lines(judgement, excitation, allowed, start_changes))
     found = [Lines(title="", lines=lines, verdict=judgement.band.verdict)]
     if reduced := judgement.without:
-        lines = [f"{without_text(judgement)}  {headline(reduced)}", *_measured_lines(reduced)]
+        lines = [f"{without_text(judgement)}  {headline(reduced)}"]
+        if reduced.is_judged and not judgement.is_judged:  # else the first block has the extent of the motion
+            lines.append(LineName.RUN.line(_extent(reduced)))
+        lines += _measured_lines(reduced)
         found.append(Lines(title="", lines=lines, verdict=reduced.band.verdict))
     return found
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import mujoco
@@ -115,6 +116,8 @@ def test_a_run_with_a_limit_that_acts_from_the_start_on_is_not_judged(tmp_path, 
     assert found.judged == ()
     assert headline(found).startswith("NOT JUDGED: limits of joint 'j1' act from")
     assert "--set limits=compliant" in headline(found)
+    assert "has 0 of the 10 outputs" in headline(found)
+    assert "steps of 2 ms are too long for more" in headline(found)
 
 
 def test_a_limit_that_only_the_inaccurate_run_passes_is_a_part_of_its_error(tmp_path):
@@ -191,7 +194,36 @@ def test_a_motion_that_is_too_short_before_a_contact_is_not_judged(tmp_path):
     assert ErrorKind.ENERGY.of(found) == reduced.error.energy
     assert reduced.causes
     assert (found.causes, found.remedies) == ((), ())
-    assert own_run_lines(found)[1].lines[0].startswith("without contact of 'world' and 'box'  OFF BY 9.8")
+    first, second = own_run_lines(found)
+    assert second.lines[0].startswith("without contact of 'world' and 'box'  OFF BY 9.8")
+    # the body moves before the contact; how far it moves without the floor is stated with that run
+    assert first.lines[1].endswith(f"({found.engine})")
+    assert second.lines[1].split() == ["run", "bodies", "move", f"{0.5 * G * duration**2:.2f}", "m"]
+
+
+def test_the_output_period_of_a_message_gives_enough_outputs(tmp_path):
+    """A box falls 0.1 m in 0.143 s: 3 outputs with a period of 0.04 s."""
+    text = BOX.format(height=0.2)
+    found = judged(tmp_path, text, duration=0.5, output_period=0.04)
+    assert found.band is Band.NOT_JUDGED
+    assert "has 3 of the 10 outputs" in headline(found)
+    (period,) = re.findall(r"--set output_period=([\d.]+)", headline(found))
+    assert float(period) == 0.008  # 4 steps: 7 steps are the most, and more than 2 are rounded to fours
+    again = judged(tmp_path, text, duration=0.5, output_period=period)
+    assert again.is_judged
+    assert again.until == pytest.approx(math.sqrt(2.0 * 0.1 / G), rel=PERCENT)
+
+
+def test_a_limit_of_a_force_that_acts_from_the_start_on_names_what_helps(tmp_path):
+    text = """<mujoco><worldbody><body><joint name="j" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass="1" contype="0"/></body></worldbody>
+      <actuator><position name="p" joint="j" kp="20" kv="1" forcerange="-5 5"/></actuator>
+      <keyframe><key name="k" ctrl="0.5"/></keyframe></mujoco>"""
+    found = judged(tmp_path, text, key="k", duration=0.2)
+    assert found.events[0] == Event(0.0, "limit of the force of actuator 'p'")  # 20 * 0.5 > 5
+    assert headline(found).startswith("NOT JUDGED: limit of the force of actuator 'p' acts from the start on")
+    assert "a smaller step of the command" in headline(found)
+    assert "outputs" not in headline(found)
 
 
 def test_contacts_of_a_run_and_of_the_reference_are_one_element(tmp_path):
