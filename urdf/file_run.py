@@ -112,10 +112,12 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
         scene: imported scene.
         settings: settings of the user's loop.
         needs: what a user's loop with Pinocchio's own reader lacks.
+        settings_place: the file of the option `own_run`, as a URDF has no settings.
         has_all_elements: False, as the loop has no limits and no dry friction.
     """
 
     has_all_elements = False
+    settings_place = "the file of --set own_run=FILE"
 
     max_evaluations = MAX_LOOP_EVALUATIONS
     engine = ENGINE

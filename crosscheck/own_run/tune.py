@@ -98,6 +98,7 @@ class SettingsSearch:
         approximated: see `Judgement`.
         scale: extent of the motion, by which errors are divided, and the time until which each mechanism is
             compared because its motion is chaotic or unstable from then on.
+        settings_place: where the user pastes the found settings.
     """
 
     engine: str
@@ -112,6 +113,7 @@ class SettingsSearch:
     until: float | None = None
     has_converged: bool = False
     approximated: tuple[str, ...] = ()
+    settings_place: str = "the model"
 
     def summary(self) -> dict[str, Any]:
         """All numbers, for JSON."""
@@ -260,6 +262,7 @@ def search_settings(
         until=compared.until,
         has_converged=has_converged and found is None,
         approximated=tuple(simulation.approximated),
+        settings_place=simulation.settings_place,
     )
 
 

@@ -12,9 +12,10 @@ from collections.abc import Iterator
 from crosscheck.compare.check import LEVELS, REFERENCE
 from crosscheck.compare.outcome import Outcome, Verdict
 from crosscheck.compare.result import EngineComparison
+from crosscheck.own_run.errors import Band
 from crosscheck.report.chart import BarChart, Measure, linear_chart, log_chart
 from crosscheck.report.explain import names_to_explain
-from crosscheck.report.own_run import fix_texts, without_text
+from crosscheck.report.own_run import fix_texts, headline, without_text
 from crosscheck.report.summary import judged_checks, nearest
 from crosscheck.report.table import seconds
 from crosscheck.support.name_lists import first_names
@@ -58,7 +59,8 @@ def charts(result: EngineComparison) -> list[BarChart]:
 
 def next_steps(result: EngineComparison) -> list[str]:
     """List what the reader can do, the most urgent step first."""
-    steps = [*_steps_of_outcome(result), *_settings_steps(result), *_coverage_steps(result)]
+    steps = [*_log_steps(result), *_steps_of_outcome(result)]
+    steps += [*_settings_steps(result), *_coverage_steps(result)]
     steps += [f"Change the constraints, {advice}." for advice in result.advice]
     if commands := ", ".join(f"`crosscheck explain {name}`" for name in names_to_explain(result)):
         steps.append(f"To learn what the result means, run {commands}.")
@@ -108,10 +110,34 @@ def _steps_of_outcome(result: EngineComparison) -> Iterator[str]:
             raise ValueError(f"{result.outcome} is no outcome of a crosscheck")
 
 
+def _log_steps(result: EngineComparison) -> Iterator[str]:
+    """Yield steps on each log whose error is not small: a likely mistake, or what to look for."""
+    for name, log in result.logs.items():
+        if log.band not in (Band.OFF, Band.WRONG):
+            continue
+        yield f"Find the error of the log {name}: {headline(log)}."
+        if log.mistakes:
+            yield f"Its likely mistake: {log.mistakes[0].text}."
+            continue
+        if result.own_run and result.own_run.needs:
+            needs = "; ".join(each.remedy for each in result.own_run.needs)
+            yield f"If you wrote the loop of {name}, check that it has all parts of the file: {needs}."
+        yield (
+            f"Repeat the run of {name} with half the time step. If the error stays, a part of the model or "
+            "an input differs, or a column has another meaning. If the error falls, keep reducing the step."
+        )
+
+
 def _settings_steps(result: EngineComparison) -> Iterator[str]:
     """Yield the first remedy for the error of the file's own settings."""
     own_run = result.own_run
-    if own_run and (fixes := fix_texts(own_run.analyzed)):
+    if own_run and own_run.are_assumed:
+        if not result.logs and own_run.is_judged:
+            yield (
+                "The judged settings are those of usual examples, not yours. Give yours by "
+                "`--set own_run=FILE`, or pass a run of your own by `--log`."
+            )
+    elif own_run and (fixes := fix_texts(own_run.analyzed)):
         reduced = "" if own_run.analyzed is own_run else f" ({without_text(own_run)})"
         yield f"To reduce the error of your settings{reduced}, change them: {fixes[0]}."
 

@@ -42,7 +42,7 @@ def report(name: str, tuning: SettingsSearch) -> Report:
     found = tuning.found  # settings that reach the target; None if none do
     parts: list[Part] = [_table(tuning), Lines("", list(_notes(tuning)))]
     if found is not None and found.changes:
-        parts.append(Lines("paste into the model", found.fragment.splitlines()))
+        parts.append(Lines(f"paste into {tuning.settings_place}", found.fragment.splitlines()))
     target = tuning.target
     title = f"{name}: settings of {tuning.engine} for an error of {target.text}"
     judged = Cell("", "holds" if found else "fails")
@@ -83,7 +83,7 @@ def _next_steps(tuning: SettingsSearch) -> list[str]:
     if not tuning.found.changes:
         return ["Keep your settings: no cheaper ones reach the error."]
     return [
-        "Paste the text below, under `paste into the model`, into your file.",
+        f"Paste the text below into {tuning.settings_place}.",
         "Then run `crosscheck run` with the changed file to confirm the error.",
     ]
 

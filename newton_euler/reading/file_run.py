@@ -160,6 +160,7 @@ class FileSimulation(ABC, Generic[SettingsT]):
             joint 'knee'". They act in all runs of the file.
         needs: elements of the file that the user's own program lacks although these runs have them, if the
             user writes the time loop.
+        settings_place: where the user pastes `fragment`.
         has_all_elements: True if runs have all elements of the file, also those that the scene lacks; False
             if runs never have these, such as those of a loop without limits and dry friction.
         max_evaluations: largest number of evaluations of the equations of motion in a run, with the file's
@@ -169,6 +170,7 @@ class FileSimulation(ABC, Generic[SettingsT]):
     are_assumed: bool = False
     approximated: Sequence[str] = ()
     needs: Sequence[LoopNeed] = ()
+    settings_place: str = "the model"
     has_all_elements: bool = True
     max_evaluations: float = math.inf
     engine: str

@@ -43,7 +43,7 @@ KINDS = {
     "errors": {each.value for each in ErrorKind},
     "fates": set(FATES),
     "findings": {each.value for each in Mistake},
-    "standings": {each.value for each in Standing},
+    "standings": {each.value for each in Standing} | {"difference"},
     "differences": {each.value for each in Quantity},
     "importers": {each.value for each in Failure},
     "conformance": {each.value for each in Result},
