@@ -21,11 +21,13 @@ import mujoco
 import numpy as np
 
 from mjcf.errors import collected_warnings
+from mjcf.layout import element_name
 from mjcf.modes import MujocoSmallMotions
 from mjcf.reference import UNSIMULATED_FEATURES, MjcfReference
 from mjcf.report_audit import switch_off_left_out
 from mjcf.run_record import EventRecorder, Recorder
 from mjcf.run_settings import INTEGRATORS, Inputs, MujocoSettings
+from mjcf.soft import stiffest_solref
 from newton_euler.equations.dense import least_squares
 from newton_euler.model.scene import Scene
 from newton_euler.reading.file_run import (
@@ -118,6 +120,7 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         self._model, self.scene, self._report, self._inputs = model, scene, report, inputs
         self.settings = MujocoSettings.of(model)
         self.approximated = [f"{topic} of {element}" for element, topic in sorted(report.approximated_topics)]
+        self.stiffer_limits = self._stiffer_limits()
         self._start, self._mocap_poses = reference.start, reference.mocap_poses
         # bodies of the scene, and the rigid groups of MuJoCo's bodies that each of them represents
         self._names = reference.names
@@ -130,6 +133,15 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         # Jacobian (g, 6, nv) of the linear, then angular velocities of the rigid groups
         jacobian = reference.kinematics(self._start, np.zeros(model.nv)).transformation
         self._velocity = least_squares(jacobian.reshape(-1, model.nv), body_velocities.ravel())
+
+    def _stiffer_limits(self) -> str:
+        """Return attributes that make the limits of joints as stiff as the time step permits."""
+        stiffest = stiffest_solref(self.settings.timestep)
+        is_soft = self._model.jnt_solref[:, 0] > stiffest[0] * (1.0 + 1e-9)
+        names = (element_name(self._model, "joint", k) for k in np.flatnonzero(is_soft).tolist())
+        soft = [name for name in names if (name, LIMITS) in self._report.approximated_topics]
+        others = f" and {len(soft) - 1} more" if soft[1:] else ""
+        return f'solreflimit="{_numbers(stiffest)}" in {soft[0]}{others}' if soft else ""
 
     def words(self) -> str:
         """Describe the settings of the file in one short text, such as "implicitfast, 2 ms, solref 0.02"."""

@@ -102,6 +102,7 @@ class Judgement:
             file's engine has them.
         approximated: dry friction and limits of the file that the reference has as forces. The difference of
             both models is a part of the error.
+        stiffer_limits: see `newton_euler.reading.file_run.FileSimulation`.
         needs: elements that the run has, and that a user's own time loop lacks unless the user adds them.
         causes: error by property of the settings, largest first; empty for an accurate run. If the run before
             the first event needs no causes, `without` has those of the run without `events`.
@@ -146,6 +147,7 @@ class Judgement:
     unjudged_from: float | None = None
     extended_to: float | None = None
     approximated: tuple[str, ...] = ()
+    stiffer_limits: str = ""
     needs: tuple[LoopNeed, ...] = ()
     too_short: str = ""
     without: Judgement | None = None
@@ -347,6 +349,7 @@ def _judgement(
         unjudged_from=compared.unjudged_from,
         extended_to=compared.extended_to,
         approximated=tuple(simulation.approximated),
+        stiffer_limits=simulation.stiffer_limits,
         needs=tuple(simulation.needs),
     )
 

@@ -95,7 +95,7 @@ class SettingsSearch:
             acts; None if runs are compared to the end. If there are `events`, all runs are then without them,
             because the motion until the first event is too short.
         has_converged: True if no settings reach the target because smaller steps do not reduce the error.
-        approximated: see `Judgement`.
+        approximated, stiffer_limits: see `Judgement`.
         scale: extent of the motion, by which errors are divided, and the time until which each mechanism is
             compared because its motion is chaotic or unstable from then on.
         settings_place: where the user pastes the found settings.
@@ -113,6 +113,7 @@ class SettingsSearch:
     until: float | None = None
     has_converged: bool = False
     approximated: tuple[str, ...] = ()
+    stiffer_limits: str = ""
     settings_place: str = "the model"
 
     def summary(self) -> dict[str, Any]:
@@ -262,6 +263,7 @@ def search_settings(
         until=compared.until,
         has_converged=has_converged and found is None,
         approximated=tuple(simulation.approximated),
+        stiffer_limits=simulation.stiffer_limits,
         settings_place=simulation.settings_place,
     )
 

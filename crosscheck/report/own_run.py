@@ -32,10 +32,10 @@ from newton_euler.reading.file_run import Event
 from newton_euler.reading.import_report import LIMITS
 from newton_euler.reading.small_motions import MovingBody
 
-OF_APPROXIMATIONS = "unexplained, or that of friction and limits as forces"
+OF_APPROXIMATIONS = "unexplained, or that of friction and limits, which are soft constraints in your run"
 """Cause of most of an error, if the reference has dry friction or limits of the file as forces."""
 
-APPROXIMATION_REMAINS = "no setting removes the difference between forces and constraints"
+APPROXIMATION_REMAINS = "these settings do not change friction and limits, soft constraints in your run"
 """Reason why an error remains if the reference has dry friction or limits of the file as forces."""
 
 OWN_MOTION = "without that: --set excitation=off"
@@ -151,7 +151,10 @@ def _measured_lines(judgement: Judgement) -> Iterator[str]:
     if (best := judgement.smallest) is not None:
         smallest = f"the smallest error is {_sizes_as(judgement, best)} ({percent(best.relative)})"
         forces = f"; {APPROXIMATION_REMAINS}" if judgement.approximated else ""
-        yield LineName.FIX.line(f"none: no settings that were tried halve the error; {smallest}{forces}")
+        stiffer = f"; {stiffer_limits_text(judgement.stiffer_limits)}" if judgement.stiffer_limits else ""
+        yield LineName.FIX.line(
+            f"none: no settings that were tried halve the error; {smallest}{forces}{stiffer}"
+        )
 
 
 def fix_texts(judgement: Judgement) -> list[str]:
@@ -238,6 +241,11 @@ def _approximated_text(approximated: Sequence[str]) -> str:
     kinds = "forces" if len(approximated) > 1 or approximated[0].startswith(LIMITS) else "a force"
     names = first_names(approximated, most=1)
     return f"{names}: {kinds} in the reference, and the difference is a part of the error"
+
+
+def stiffer_limits_text(stiffer_limits: str) -> str:
+    """State which change of the file makes limits stiffer that give way more than those of the reference."""
+    return f"the file's limits are soft and give way; a remedy to try: {stiffer_limits}"
 
 
 def chaos_text(scale: MotionScale) -> str:

@@ -17,7 +17,7 @@ from crosscheck.compare.outcome import Verdict
 from crosscheck.own_run.allowed import AllowedError, ErrorKind, elements_text, in_unit
 from crosscheck.own_run.tune import SettingsSearch, Tried
 from crosscheck.report.chart import Measure, log_chart
-from crosscheck.report.own_run import chaos_text, percent, sizes, unsimulated_text
+from crosscheck.report.own_run import chaos_text, percent, sizes, stiffer_limits_text, unsimulated_text
 from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, number_columns
 from crosscheck.support.name_lists import first_names
 
@@ -104,6 +104,8 @@ def _verdict(tuning: SettingsSearch) -> str:
         if tuning.has_converged and tuning.approximated:
             names = first_names(tuning.approximated, most=1)
             reason += f", because {names} as forces differ from constraints"
+            if tuning.stiffer_limits:
+                reason += f"; {stiffer_limits_text(tuning.stiffer_limits)}"
         return f"NOT REACHED{which}: {reached}, of {tuning.runs} runs{reason}"
     return f"REACHED{which}: {_settings(found)}: {_error(found, target)}, {_cost(found, tuning.own)}"
 

@@ -158,6 +158,8 @@ class FileSimulation(ABC, Generic[SettingsT]):
         are_assumed: True if the settings are usual ones, since the file has none and the user gives none.
         approximated: dry friction and limits of the file that the scene has as forces, such as "limits of
             joint 'knee'". They act in all runs of the file.
+        stiffer_limits: change of the file that makes its limits stiffer, as text; "" if no limits are among
+            `approximated`, or if the limits are as stiff as the time step permits.
         needs: elements of the file that the user's own program lacks although these runs have them, if the
             user writes the time loop.
         settings_place: where the user pastes `fragment`.
@@ -169,6 +171,7 @@ class FileSimulation(ABC, Generic[SettingsT]):
 
     are_assumed: bool = False
     approximated: Sequence[str] = ()
+    stiffer_limits: str = ""
     needs: Sequence[LoopNeed] = ()
     settings_place: str = "the model"
     has_all_elements: bool = True

@@ -415,7 +415,9 @@ def test_settings_that_cannot_reach_the_error_are_given_up_with_the_reason(tmp_p
     reason = (
         "smaller steps do not reduce it, because limits of joint 'rail' as forces differ from constraints"
     )
-    assert text.endswith(reason)
+    assert reason in text
+    assert search.stiffer_limits == "solreflimit=\"0.004 1\" in joint 'rail'"  # two steps
+    assert search.stiffer_limits in text
     # the judgement has no settings either, and the smallest error that it found
     judgement = judge(report.simulation)
     assert judgement.remedies == ()
@@ -423,4 +425,11 @@ def test_settings_that_cannot_reach_the_error_are_given_up_with_the_reason(tmp_p
     smallest, own = judgement.smallest.relative, judgement.error.relative
     assert best <= smallest <= own < 2.0 * smallest
     (fix,) = (line for line in own_run_lines(judgement)[0].lines if line.split()[0] == "fix")
+    assert judgement.stiffer_limits in fix
+    # with this change of the file
+    path.write_text(STOPPED.replace("range=", 'solreflimit="0.004 1" range='))
+    _, report = load_scene(str(path), {"duration": "0.15", "limits": "compliant", "excitation": "off"})
+    stiffer = judge(report.simulation)
+    assert stiffer.stiffer_limits == ""
+    assert stiffer.error.relative < own
     assert "none: no settings that were tried halve the error" in fix
