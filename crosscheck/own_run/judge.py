@@ -181,6 +181,14 @@ class Judgement:
         return not self.stopped and largest > CANCELLATION * self.error.relative_by(by_position)
 
     @property
+    def have_one_error(self) -> bool:
+        """True if a smaller time step and another integrator both remove most of the run's error."""
+        by_position = self.error.stated_by_position
+        least = MIN_EXPLAINED * self.error.relative_by(by_position)
+        large = {each.name for each in self.causes if each.error.relative_by(by_position) >= least > 0.0}
+        return not self.stopped and large.issuperset(OF_UNSTABLE_MODES)
+
+    @property
     def is_explained(self) -> bool:
         """False if all causes together have a clearly smaller error than the run has."""
         by_position = self.error.stated_by_position

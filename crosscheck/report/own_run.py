@@ -143,6 +143,10 @@ def _measured_lines(judgement: Judgement) -> Iterator[str]:
         if judgement.errors_cancel:
             cancelling = "these errors partly cancel: the removal of one alone can make the run worse"
             yield LineName.continued(cancelling)
+        elif judgement.have_one_error:
+            yield LineName.continued(
+                "integrator and time step are two remedies of the same error: change one of them"
+            )
     if judgement.stability is not None:
         for k, line in enumerate(_stability(judgement.stability)):
             yield LineName.MODE.line(line) if k == 0 else LineName.continued(line)
@@ -302,11 +306,13 @@ def _stability(mode: Stability) -> Iterator[str]:
     if mode.is_stable:
         if mode.timestep * mode.rate >= FAST_MODE:
             by = f", made by {_elements(mode)}," if mode.elements else ""
-            until = f"; steps are stable up to {limit}" if mode.limit < math.inf else ""
+            until = f"; small motions are stable up to steps of {limit}" if mode.limit < math.inf else ""
             constant = quantity_text(1.0 / mode.rate, SECONDS_AND_MS, digits=2)
             steps = f"{significant(1.0 / (mode.rate * mode.timestep), 2)} of the file's steps"
             yield f"the fastest mode{by} has a time constant of {constant}: only {steps}{until}"
             yield _body(mode.body)
+            if mode.elements and all(each.is_constraint for each in mode.elements):
+                yield "stiff constraints are fast on purpose: leave them if soft constraints cause little"
         return
     if mode.elements:
         makes = "makes" if len(mode.elements) == 1 else "make"

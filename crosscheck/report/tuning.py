@@ -15,11 +15,15 @@ from collections.abc import Iterator
 
 from crosscheck.compare.outcome import Verdict
 from crosscheck.own_run.allowed import AllowedError, ErrorKind, elements_text, in_unit
+from crosscheck.own_run.errors import Band
 from crosscheck.own_run.tune import SettingsSearch, Tried
 from crosscheck.report.chart import Measure, log_chart
 from crosscheck.report.own_run import chaos_text, percent, sizes, stiffer_limits_text, unsimulated_text
 from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, number_columns
 from crosscheck.support.name_lists import first_names
+
+MIN_GROWTH = 1.1
+"""Smallest ratio of an error with the found settings and with those of the file that is reported."""
 
 BAR_UNITS = {
     ErrorKind.RELATIVE: (0.01, "%"),
@@ -167,5 +171,23 @@ def _notes(tuning: SettingsSearch) -> Iterator[str]:
         yield f"note: compared until then: {unsimulated_text(tuning.events)}"
     elif tuning.events:
         yield f"note: all runs are without {unsimulated_text(tuning.events)}"
+    if (found := tuning.found) is not None:
+        yield from (f"note: {text}" for text in _warnings(tuning, found))
     if chaos := chaos_text(tuning.scale):
         yield f"note: {chaos}, and no run with other steps can match"
+
+
+def _warnings(tuning: SettingsSearch, found: Tried) -> Iterator[str]:
+    """Warn of an error that is large for the motion, and of other errors that become larger."""
+    if tuning.target.kind is not ErrorKind.RELATIVE and found.error.band is Band.WRONG:
+        share = percent(found.error.relative)
+        yield f"{share} of the motion is much: `crosscheck run` reports {Band.WRONG} BY from 1 % on"
+    if tuning.own.stopped:
+        return
+    larger = []
+    for kind in (ErrorKind.OPENING, ErrorKind.LOOP_ANGLE, ErrorKind.ENERGY):
+        own, new = (kind.measured_in(each.error, each.loop_error) for each in (tuning.own, found))
+        if new > MIN_GROWTH * own:
+            larger.append(f"{kind} {in_unit(new, kind)}, yours {in_unit(own, kind)}")
+    if larger:
+        yield f"larger errors than with your settings: {'; '.join(larger)}"

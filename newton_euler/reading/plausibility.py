@@ -307,14 +307,16 @@ def unlike_twins(bodies: list[MeasuredBody]) -> Iterator[Finding]:
     reflection, plane = _symmetry_plane(pairs)
     for one, two in pairs:
         problem = _twin_difference(one, two, reflection, plane)
+        remedy = "mirror one side again: signs of y or of the products of inertia are the usual mistake"
+        if _have_other_masses(one, two):  # which no reflection causes
+            remedy = "give both the same mass, unless one side carries something, such as a tool"
         if problem:
             yield Finding(
                 name=Mistake.TWINS_DIFFER,
                 element=f"bodies {one.body.name!r} and {two.body.name!r}",
                 what=problem,
                 consequence="the two sides move differently",
-                remedy="mirror one side again: "
-                "signs of y or of the products of inertia are the usual mistake",
+                remedy=remedy,
             )
 
 
@@ -364,9 +366,8 @@ def _twin_difference(one: MeasuredBody, two: MeasuredBody, reflection: Array, pl
         reflection, plane: plane of symmetry, see `_symmetry_plane`.
     """
     # Compare masses and principal moments
-    masses = one.body.mass, two.body.mass
-    if abs(masses[0] - masses[1]) > MAX_TWIN_DIFFERENCE * max(masses):
-        return f"masses of {masses[0]:.4g} and {masses[1]:.4g} kg"
+    if _have_other_masses(one, two):
+        return f"masses of {one.body.mass:.4g} and {two.body.mass:.4g} kg"
     largest = float(max(one.moments[2], two.moments[2]))
     if np.max(np.abs(one.moments - two.moments)) > MAX_TWIN_DIFFERENCE * largest:
         texts = (", ".join(f"{x:.4g}" for x in each.moments) for each in (one, two))
@@ -391,6 +392,12 @@ def _twin_difference(one: MeasuredBody, two: MeasuredBody, reflection: Array, pl
         name = "xyz"[worst]
         return f"centers of mass whose {name}, mirrored, are {arms[0][worst]:.4g} and {arms[1][worst]:.4g} m"
     return ""
+
+
+def _have_other_masses(one: MeasuredBody, two: MeasuredBody) -> bool:
+    """Return True if the masses of two twins differ."""
+    masses = one.body.mass, two.body.mass
+    return abs(masses[0] - masses[1]) > MAX_TWIN_DIFFERENCE * max(masses)
 
 
 def _is_same_part(one: MeasuredBody, two: MeasuredBody, size: float) -> bool:

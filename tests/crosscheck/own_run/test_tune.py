@@ -18,10 +18,11 @@ import newton_euler
 from crosscheck.compare.outcome import ExitStatus
 from crosscheck.loading.load import load_scene
 from crosscheck.own_run import tune as tuning
-from crosscheck.own_run.allowed import AllowedError, ErrorKind
+from crosscheck.own_run.allowed import AllowedError, ErrorKind, in_unit
 from crosscheck.own_run.judge import judge
 from crosscheck.own_run.tune import search_settings
-from crosscheck.report.own_run import own_run_lines
+from crosscheck.report.own_run import own_run_lines, percent
+from crosscheck.report.table import Lines
 from crosscheck.report.tuning import report as search_report
 from crosscheck.support.errors import CrosscheckError
 from mjcf.reading.softness import equalities_with_own_softness
@@ -396,6 +397,21 @@ def test_the_search_is_of_the_file_as_it_stands_until_a_limit_acts(tmp_path):
     assert search_report("model", search).verdict.startswith(f"REACHED until {search.until:.3g} s: ")
 
 
+def test_errors_that_the_target_does_not_limit_are_reported(tmp_path):
+    """A tolerance of 20 mm permits steps with 1 % of the motion and more, and a larger error of energy."""
+    path = tmp_path / "model.xml"
+    path.write_text(PENDULUM)
+    _, report = load_scene(str(path), OPTIONS)
+    search = search_settings(report.simulation, AllowedError(ErrorKind.POSITION, 0.02))
+    assert search.own.error.relative < 0.01 < search.found.error.relative
+    assert search.found.error.energy > 1.1 * search.own.error.energy
+    lines = [part for part in search_report("model", search).parts if isinstance(part, Lines)]
+    notes = [line for part in lines for line in part.lines if line.startswith("note")]
+    assert len(notes) == 2
+    assert f"{percent(search.found.error.relative)} of the motion" in notes[0]
+    assert f"energy {in_unit(search.found.error.energy, ErrorKind.ENERGY)}, yours" in notes[1]
+
+
 STOPPED = """<mujoco model="block"><option timestep="0.002" gravity="0 0 0"/><worldbody><body name="block">
   <joint name="rail" type="slide" axis="1 0 0" range="-0.1 0.1"/>
   <geom size="0.1" mass="3" contype="0"/></body></worldbody>
@@ -426,6 +442,7 @@ def test_settings_that_cannot_reach_the_error_are_given_up_with_the_reason(tmp_p
     assert best <= smallest <= own < 2.0 * smallest
     (fix,) = (line for line in own_run_lines(judgement)[0].lines if line.split()[0] == "fix")
     assert judgement.stiffer_limits in fix
+    assert not judgement.have_one_error  # most of the error is that of the limit
     # with this change of the file
     path.write_text(STOPPED.replace("range=", 'solreflimit="0.004 1" range='))
     _, report = load_scene(str(path), {"duration": "0.15", "limits": "compliant", "excitation": "off"})

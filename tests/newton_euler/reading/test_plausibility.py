@@ -81,6 +81,8 @@ def sides(
 def test_twins_that_differ(tmp_path: Path) -> None:
     assert sides(tmp_path) == []
     assert sides(tmp_path, mass="0.6") == ["twins-differ"]
+    (finding,) = read_mjcf(tmp_path / "legs.xml").report.findings
+    assert "mirror" not in finding.remedy  # a reflection keeps the mass
     assert sides(tmp_path, place="0.05 -0.06 -0.1") == ["twins-differ"]
     assert sides(tmp_path, moments="0.0006 0.0005 0.0002") == ["twins-differ"]
     assert sides(tmp_path, place="0.05 -0.02 -0.1") == []  # one part on both sides, moved
