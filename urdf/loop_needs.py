@@ -1,4 +1,4 @@
-"""What a user's own loop lacks if Pinocchio reads the URDF: rotors, springs, mimics and damping.
+"""Rotors, springs, mimics and damping that a loop lacks if Pinocchio reads the URDF by itself.
 
 The judged loop of `urdf.file_run` has all of these. A loop with the model of `pinocchio.buildModelFromUrdf`
 simulates another robot, and the error of the judged loop is not that of the user's loop.
