@@ -28,7 +28,7 @@ from crosscheck.report.line_name import LineName
 from crosscheck.report.table import Cell, Lines, Rows
 from crosscheck.support.name_lists import first_names
 from crosscheck.support.units import SECONDS_AND_MS, quantity_text, significant
-from newton_euler.reading.file_run import Event
+from newton_euler.reading.file_run import OF_UNSTABLE_MODES, Event
 from newton_euler.reading.import_report import LIMITS
 from newton_euler.reading.small_motions import MovingBody
 
@@ -143,10 +143,6 @@ def _measured_lines(judgement: Judgement) -> Iterator[str]:
         if judgement.errors_cancel:
             cancelling = "these errors partly cancel: the removal of one alone can make the run worse"
             yield LineName.continued(cancelling)
-        elif judgement.have_one_error:
-            yield LineName.continued(
-                "integrator and time step are two remedies of the same error: change one of them"
-            )
     if judgement.stability is not None:
         for k, line in enumerate(_stability(judgement.stability)):
             yield LineName.MODE.line(line) if k == 0 else LineName.continued(line)
@@ -291,6 +287,9 @@ def _causes(judgement: Judgement) -> list[str]:
     large = {each.name for each in listed}
     small = [name for name in errors if name not in large] + [*judgement.harmless]
     words = [f"{each.name}: {_sizes_as(judgement, each.error)}" for each in listed]
+    # integrator and time step, if they are the two largest causes: the change of one of them is enough
+    if judgement.have_one_error and {each.name for each in listed[:2]} == {*OF_UNSTABLE_MODES}:
+        words[:2] = [", or ".join(words[:2])]
     if (listed or small) and not judgement.is_explained:
         words.append(f"the rest is {OF_APPROXIMATIONS if judgement.approximated else 'unexplained'}")
     return words + ([f"little or nothing: {', '.join(small)}"] if small else [])
