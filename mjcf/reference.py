@@ -22,7 +22,7 @@ from newton_euler.equations.system import MassProperties
 from newton_euler.model.scene import Scene
 from newton_euler.reading.activity import Bounds
 from newton_euler.reading.friction_and_stops import FrictionAndStops
-from newton_euler.reading.import_report import ImportReport, unique_name
+from newton_euler.reading.import_report import ACTUATOR_LIMIT, JOINT_LIMIT, ImportReport, unique_name
 from newton_euler.reading.quantities import FORCE_KINDS, Constraints, ForceLimit, Forces, Kinematics
 from newton_euler.reading.reference import MAX_HINGE_ROW_ANGLE, ReferenceModel, Sample, whole_body_names
 from newton_euler.scalars import Array, cross
@@ -180,8 +180,8 @@ class MjcfReference(ReferenceModel):
         """Yield the limits of forces for which the report has watches."""
         model = self._model
         for topic, kind, count in (
-            ("limit of the force", "actuator", model.nactuator),
-            ("limit of actuator forces", "joint", model.njnt),
+            (ACTUATOR_LIMIT, "actuator", model.nactuator),
+            (JOINT_LIMIT, "joint", model.njnt),
         ):
             numbers = {element_name(model, kind, k): k for k in range(count)}
             for entry_number, watches in report.watches.items():

@@ -99,14 +99,15 @@ def regress_command(
         with progress_shown() as progress:
             baselines = update_baselines(guarded, reason, progress, engines or ())
         for each, found in zip(guarded, baselines, strict=True):
-            elements = sum(not line.startswith(ACTS) for line in found.unsimulated or [])
+            unsimulated = found.unsimulated or []
+            acting = [line for line in unsimulated if line.startswith(ACTS)]
+            elements = len(unsimulated) - len(acting)
             more = f" and {elements} elements not simulated" if elements else ""
             say(f"wrote {each.path}: {len(found.quantities)} quantities{more}")
             for group, why in found.left_out.items():
                 say(f"  {group} left out: {why}")
-            for line in found.unsimulated or []:
-                if line.startswith(ACTS):
-                    say(f"  {line}; comparisons have exit status 4 without --allow-reduced")
+            for line in acting:
+                say(f"  {line}; comparisons have exit status 4 without --allow-reduced")
         return AGREE  # exit status 0
     folder = output or _usual_folder(sources)
     # `recordings`: files that show a scene and its baseline side by side, by name of each scene that moved

@@ -61,12 +61,15 @@ def quiet_versions(comparisons: Iterable[Comparison]) -> str:
 
     The line of a scene that moved has the versions of its own baseline.
     """
-    stored: dict[str, dict[str, str]] = {}
+    stored: dict[tuple[str, str], set[str]] = {}
     for comparison in comparisons:
         if not comparison.moved:
             for name, (was, now) in comparison.changed_versions.items():
-                stored.setdefault(f"{name} {{}} -> {now}", {})[was] = was
-    changed = [text.format(*was if len(was) == 1 else ("several",)) for text, was in stored.items()]
+                stored.setdefault((name, now), set()).add(was)
+    changed = [
+        f"{name} {'several' if len(was) > 1 else next(iter(was))} -> {now}"
+        for (name, now), was in stored.items()
+    ]
     return f"versions that changed since the baseline: {', '.join(changed)}" if changed else ""
 
 

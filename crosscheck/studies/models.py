@@ -41,6 +41,7 @@ from crosscheck.report.table import Rows, Table, text_columns
 from crosscheck.studies.own_run_table import OwnRunResult, own_run_result, own_run_table
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.files import write_files
+from crosscheck.support.name_lists import first_names
 from newton_euler.folders import make_folder
 from newton_euler.reading.import_report import ALWAYS_ACTING, FATES, ImportedElement, ImportReport
 
@@ -266,9 +267,9 @@ def _reason(content: dict[str, Any]) -> str:
         return ""
     if content["outcome"] != Outcome.AGREE_ON_A_REDUCED_MODEL:
         return str(content["verdict"]).partition(": ")[2]
-    first, *others = (ImportedElement(**each) for each in content["not_simulated"])
-    more = f" and {len(others)} more" if others else ""
-    return f"without {what_acted(first)}{more}, which act from {first.since:.3g} s on"
+    acting = [ImportedElement(**each) for each in content["not_simulated"]]
+    names = first_names([what_acted(each) for each in acting], most=1)
+    return f"without {names}, which act from {acting[0].since:.3g} s on"
 
 
 def _first_kind(content: dict[str, Any]) -> str:

@@ -25,6 +25,7 @@ from crosscheck.own_run.remedies import MeasuredRemedy
 from crosscheck.report.own_run import FAST_MODE, MIN_CAUSE, angle, cost_text, percent, size, sizes
 from crosscheck.report.render import markdown_table
 from crosscheck.report.table import Rows, Table, text_columns
+from crosscheck.support.name_lists import first_names
 from crosscheck.support.units import SECONDS_AND_MS, quantity_text
 
 MAX_REPEAT_TIME = 600.0
@@ -152,8 +153,8 @@ def _without(own_run: Mapping[str, Any]) -> str:
     """Format elements that the reference leaves out, and the chaotic time that the comparison leaves out."""
     words = []
     if events := own_run["events"]:
-        others = f" and {len(events) - 1} more" if events[1:] else ""
-        words.append(f"{events[0]['element']}{others}, from {events[0]['time']:.3g} s on")
+        elements = first_names([event["element"] for event in events], most=1)
+        words.append(f"{elements}, from {events[0]['time']:.3g} s on")
     if own_run["until"]:
         words.append("judged until then")
     ends = [each["until"] for each in own_run["scale"]["mechanisms"] if each["until"] is not None]

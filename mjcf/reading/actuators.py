@@ -49,7 +49,15 @@ from newton_euler.model.forces import Wrench
 from newton_euler.model.joint import Key
 from newton_euler.model.smooth_functions import Sine
 from newton_euler.reading.activity import Bounds
-from newton_euler.reading.import_report import CONTROL, FORCE, ROTOR, ImportReport
+from newton_euler.reading.import_report import (
+    ACTUATOR_LIMIT,
+    CONTROL,
+    FORCE,
+    JOINT_LIMIT,
+    ROTOR,
+    TENDON_LIMIT,
+    ImportReport,
+)
 from newton_euler.scalars import Array
 
 TRANSMISSION, DYNAMICS, GAIN, BIAS = mujoco.mjtTrn, mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
@@ -296,11 +304,11 @@ class Actuators:
             can_watch = moments is not None or not (force.by_length or force.by_rate)
             why = f"its limit of the force, {low:g} to {high:g}"
             watches = [watch] if can_watch else []
-            report.left_out(element, why, topic="limit of the force", watches=watches)
+            report.left_out(element, why, topic=ACTUATOR_LIMIT, watches=watches)
         if (tendon := limited_tendon(model, actuator)) is not None:
             low, high = (float(x) for x in model.tendon_actfrcrange[tendon])
             why = f"its tendon's limit of actuator forces, {low:g} to {high:g}"
-            report.left_out(element, why, topic="limit of its tendon")
+            report.left_out(element, why, topic=TENDON_LIMIT)
 
     def _report_joint_limit(self, joint: int) -> None:
         """Report the limit that MuJoCo's joint number `joint` sets to the sum of its actuator forces."""
@@ -308,7 +316,7 @@ class Actuators:
         key, element = self._joints.coordinate_keys.get(joint), element_name(self._model, "joint", joint)
         limits = [float(x) for x in model.jnt_actfrcrange[joint]]
         low, high = limits
-        why, topic = f"its limit of actuator forces, {low:g} to {high:g}", "limit of actuator forces"
+        why, topic = f"its limit of actuator forces, {low:g} to {high:g}", JOINT_LIMIT
         actuation = None if key is None else self._actuations.get(key)
         if others := self._other_forces(joint):
             self._report.left_out(element, f"{why}, which includes {others}", topic=topic)

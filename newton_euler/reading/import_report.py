@@ -30,8 +30,12 @@ FATES: tuple[Fate, ...] = ("exactly", "inactive", "approximated", "left out")
 CONTACTS, LIMITS, VELOCITY_LIMITS, FRICTION = "contacts", "limits", "limit of velocity", "dry friction"
 """Topics (`ImportedElement.topic`) of elements that scenes do not simulate."""
 
-FORCE_LIMITS = ("limit of the force", "limit of actuator forces", "limit of its tendon")
-"""Topics of limits of actuator forces: of an actuator, a joint, and a tendon."""
+ACTUATOR_LIMIT, JOINT_LIMIT, TENDON_LIMIT = FORCE_LIMITS = (
+    "limit of the force",
+    "limit of actuator forces",
+    "limit of its tendon",
+)
+"""Topics of limits of actuator forces: of an actuator, a joint, and an actuator's tendon."""
 
 CONTROL, FORCE, ROTOR = "control law", "force", "rotor"
 """Values of `ImportedElement.became`: kinds of scene elements that some file formats cannot represent."""
