@@ -45,9 +45,9 @@ $(VENV)/installed: pyproject.toml constraints.txt
 	$(BIN)/python -m compileall -q newton_euler mjcf urdf crosscheck
 	touch $@
 
-# the optional engines; processors and systems without their wheels skip their tests
+# the optional engines and backends; processors and systems without their wheels skip their tests
 $(VENV)/engines-installed: $(VENV)/installed
-	for engine in drake exudyn; do \
+	for engine in drake exudyn mjx; do \
 		$(BIN)/python -m pip install --quiet --disable-pip-version-check --only-binary $$engine -c constraints.txt \
 			-e ".[$$engine]" || echo "$$engine: no wheel for this system, its tests are skipped"; \
 	done

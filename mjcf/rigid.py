@@ -20,10 +20,9 @@ import numpy as np
 
 from mjcf.evaluate import EvaluatedScene, constraint_jacobian, mass_and_force
 from mjcf.loops import active_loops, closes_loop, loops_with_rows
-from newton_euler.equations.dense import solve_constrained
+from newton_euler.equations.engine_solution import Redundancy, servo_forces, solve_rigidly, tree_rows
 from newton_euler.equations.load_friction import EngineFriction
-from newton_euler.equations.model_control import EngineControl, servo_forces
-from newton_euler.equations.redundancy import constraint_rank, rows_left_out, with_zero_rows
+from newton_euler.equations.model_control import EngineControl
 from newton_euler.equations.system import Evaluation
 from newton_euler.errors import check_choice
 from newton_euler.model.joint import Key
@@ -192,17 +191,10 @@ class RigidMuJoCo(EvaluatedScene):
         return self.evaluation(self.layout.to_qvel @ acceleration, multipliers[self._present_rows()])
 
     def _solve(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Solve for dv/dt (nv,) and the multipliers (k,) of MuJoCo's constraint rows.
-
-        Almost redundant rows are set to zero, with zero multipliers. The rank of the other rows, which may be
-        exactly dependent, is that of newton_euler's mobility analysis (`constraint_rank`).
-        """
-        unused = rows_left_out(self)
+        """Solve for dv/dt (nv,) and the multipliers (k,) of MuJoCo's constraint rows."""
+        redundancy = Redundancy.of(self)
         gamma = self._gamma(q, v)  # first, because it sets the state in `data`
-        mass, force = self._mass_and_force()
-        rows, gamma = with_zero_rows(self._jacobian(), unused), with_zero_rows(gamma, unused)
-        units = self.phi_units, self.velocity_units
-        return solve_constrained(mass, force, rows, gamma, *units, constraint_rank(self))
+        return solve_rigidly(self, redundancy, self._mass_and_force(), (self._jacobian(), gamma))
 
     def servo_forces(self, q: Array, v: Array, keys: Sequence[Key], accelerations: Array) -> Array:
         """Compute by inverse dynamics the forces on joint coordinates that cause given accelerations.
@@ -217,8 +209,8 @@ class RigidMuJoCo(EvaluatedScene):
             Forces, N or N m.
         """
         gamma = self._gamma(q, v)  # first, because it sets the state in `data`
-        mass_and_force, jacobian = self._mass_and_force(), self._jacobian()
-        return servo_forces(self, self.tree, mass_and_force, (jacobian, gamma), keys, accelerations)
+        matrices = self._mass_and_force(), (self._jacobian(), gamma)
+        return servo_forces(self, *matrices, keys, (tree_rows(self.tree, keys), accelerations))
 
     def _gamma(self, q: Array, v: Array) -> Array:
         """Return gamma (k,), the right side of J vdot = gamma = -Jdot v + f''(t)."""

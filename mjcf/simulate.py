@@ -88,8 +88,9 @@ def simulate(
             "PGS" (projected Gauss-Seidel).
         iterations: largest number of iterations of the solver in one evaluation.
         tolerance: relative improvement at which the solver ends its iteration.
-        backend: implementation that takes the steps: "C", or "MJX" in JAX. Outputs are
-            evaluated in C. Commands of crosscheck take "C", as MJX compiles each model for up to a minute.
+        backend: implementation that takes the steps: "C", or "MJX" in JAX. Outputs are evaluated in C.
+            Commands of crosscheck take "C", as MJX compiles each model for up to a minute. Loop constraints
+            of MJX 3.17 have other reference accelerations: those of the moving tracker differ by up to 3 %.
 
     Raises:
         NewtonEulerError: for an unknown integrator or solver, an impossible option, or a controller that

@@ -540,14 +540,16 @@ class SingularityError(NewtonEulerError):
     """Equations of motion that have no unique solution at a state.
 
     Attributes:
-        joint: name of the joint whose equations are dependent.
+        joint: name of the joint whose equations are dependent; None if the cause is no joint, as in a state
+            that is not finite.
         reason: why the solution is not unique.
     """
 
-    def __init__(self, joint: str, reason: str) -> None:
+    def __init__(self, joint: str | None, reason: str) -> None:
         self.joint = joint
         self.reason = reason
-        super().__init__(f"equations of motion are singular at joint {joint!r}: {reason}")
+        at_joint = "" if joint is None else f" at joint {joint!r}"
+        super().__init__(f"equations of motion are singular{at_joint}: {reason}")
 
 
 class SensitivityError(NewtonEulerError):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import json
 import os
@@ -113,11 +114,11 @@ def test_blocks_without_prompts_are_copied_as_they_are(hooks):
     assert hooks.CODE.sub(hooks.copied, block) == block
 
 
+@pytest.mark.parametrize("between", ["\n", "\n<!-- end of library -->\n"])
 @pytest.mark.parametrize(("rows", "is_folded"), [(16, False), (17, True)])
-def test_long_tables_of_results_are_folded(hooks, rows, is_folded):
-    table = (
-        "<table><tr><th>model</th></tr>" + "<tr><td>1</td></tr>" * rows + "</table>\n<p>Table: masses.</p>"
-    )
+def test_long_tables_of_results_are_folded(hooks, rows, is_folded, between):
+    body = "<tr><th>model</th></tr>" + "<tr><td>1</td></tr>" * rows
+    table = f"<table>{body}</table>{between}<p>Table: masses.</p>"
     made = hooks.TABLE.sub(hooks.folded, table)
     assert made.startswith("<details") == is_folded
     assert (f"<summary>{rows} rows: masses</summary>" in made) == is_folded
@@ -165,19 +166,37 @@ def test_tasks_of_commands_have_one_page_each(hooks):
     assert sorted(task for page in pages for task in hooks.COMMANDS.findall(page)) == sorted(TASKS)
 
 
-def test_the_index_of_names_has_all_public_names(hooks):
-    nav = ["reference/python/simulate.md", {"Forces": ["reference/python/forces.md", "index.md"]}]
-    rows = list(hooks.index_of_names(SimpleNamespace(nav=nav)))[1:]
-    assert [row.split("]")[0] for row in rows] == [
-        "| [Simulate",
-        "| [Springs, dampers and friction of joints",
-    ]
-    assert "[`simulate`](python/simulate.md#newton_euler.runs.simulate.simulate)" in rows[0]
-    assert "[`JointSpring`](python/forces.md#newton_euler.JointSpring)" in rows[1]
-    listed = set(hooks.pages_of(navigation(), "reference/python/"))
-    assert listed == {
-        str(page.relative_to(ROOT / "docs")) for page in (ROOT / "docs/reference/python").iterdir()
+def test_the_index_has_each_documented_name_once_with_its_path_and_description(hooks):
+    index = (ROOT / "docs" / "reference" / "python.md").read_text()
+    groups = [group.split() for group in hooks.INDEX_OF_NAMES.findall(index)]
+    listed = sorted(page for group in groups for page in group)
+    assert listed == sorted(page.stem for page in (ROOT / "docs/reference/python").iterdir())
+    assert set(hooks.pages_of(navigation(), "reference/python/")) == {
+        f"reference/python/{page}.md" for page in listed
     }
+    public = [row for group in groups for row in list(hooks.index_of_names(group))[1:]]
+    results = list(hooks.index_of_results(SimpleNamespace(nav=navigation())))[1:]
+    anchors = [re.findall('<a id="([^"]+)"', row)[0] for row in (*public, *results)]
+    documented = [name for page in listed for name, _ in hooks.NAME.findall(_text_of_names(page))]
+    assert sorted(anchors) == sorted(documented)
+    assert all(re.search(r"\) \| (`[\w.]+` \| )?[A-Z].* \|$", row) for row in (*public, *results))
+    rows = "\n".join(public)
+    assert "[`newton_euler.simulate`](python/simulate.md#newton_euler.runs.simulate.simulate) | Run " in rows
+    assert "[`newton_euler.JointSpring`](python/forces.md#newton_euler.JointSpring)" in rows
+    assert "[`Check`](python/verdict.md#crosscheck.compare.check.Check)" in "\n".join(results)
+
+
+def test_public_names_can_be_imported_from_their_paths_in_the_index(hooks):
+    for page in (ROOT / "docs" / "reference" / "python").iterdir():
+        for name, heading in hooks.NAME.findall(page.read_text()):
+            package, _, exported = heading.rpartition(".")
+            if package and hooks.is_public(page.stem, name, heading):
+                assert hasattr(importlib.import_module(package), exported), heading
+
+
+def _text_of_names(page: str) -> str:
+    """The source of a page of the Python reference."""
+    return (ROOT / "docs" / "reference" / "python" / f"{page}.md").read_text()
 
 
 def navigation() -> object:

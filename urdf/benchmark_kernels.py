@@ -283,7 +283,10 @@ def lsoda(equations: Equations, rtol: float, atol: float) -> tuple[Array, int]:
         mxstep=MAX_LSODA_STEPS,
     )
     if info["message"] != "Integration successful.":
-        raise IntegrationError(float(info["tcur"].max()), f"LSODA: {info['message']}")
+        # the times reached, s: before the failure at least those of the outputs, after it undefined numbers
+        reached = info["tcur"]
+        failed = int(np.argmax(reached < equations.system.scene.times[1:]))
+        raise IntegrationError(float(reached[failed]), f"LSODA: {info['message']}")
     return rows, int(info["nfe"][-1])
 
 

@@ -24,11 +24,11 @@ import numpy as np
 import pinocchio as pin
 
 from newton_euler.equations.coupling_equations import TreeCouplings
-from newton_euler.equations.dense import solve_constrained
 from newton_euler.equations.drives import drive_wrenches, joint_points
+from newton_euler.equations.engine_solution import Redundancy, servo_forces, solve_rigidly, tree_rows
 from newton_euler.equations.load_friction import EngineFriction, HeldFriction
-from newton_euler.equations.model_control import EngineControl, roles, servo_forces
-from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out, with_zero_rows
+from newton_euler.equations.model_control import EngineControl, roles
+from newton_euler.equations.redundancy import constraint_rank, mobility
 from newton_euler.equations.system import Evaluation, MassProperties, Observation
 from newton_euler.errors import SingularityError
 from newton_euler.model.constraints import Frame
@@ -165,7 +165,6 @@ class PinocchioSystem:
         # inverse dynamics, if a control law uses a model of the mechanism (`roles` finds such laws)
         self._model_control = EngineControl(scene, PinocchioSystem) if roles(scene) else None
         self._alpha = alpha
-        self._rank = constraint_rank(self)
         # choose between constraintDynamics and elimination. Elimination is needed for rows that
         # constraintDynamics does not have, for a mechanism whose independent rows change along the motion
         # (`exchangeable`), and for rows that are redundant up to rounding (`residual`): such rows contradict
@@ -179,10 +178,11 @@ class PinocchioSystem:
         self._latest_jacobian: tuple[bytes, Array] = b"", np.zeros((0, 0))
         if not self._eliminates:
             q, _ = self.coordinates(initial_state(scene))
-            self._proximal = ConstraintDynamics(self.closed, self.map, self._units, q, self._rank)
+            rank = constraint_rank(self)
+            self._proximal = ConstraintDynamics(self.closed, self.map, self._units, q, rank)
             self._eliminates = self._proximal.loses_digits
         if self._eliminates:
-            self._unused = rows_left_out(self)
+            self._redundancy = Redundancy.of(self)
         self._needs_kinematics = bool(self._forces) or self._eliminates
 
     def _add_body_frames(self) -> list[int]:
@@ -313,7 +313,8 @@ class PinocchioSystem:
         mass_and_force = self.mass_and_force(q, v)
         self._compute_kinematics(q, v)
         gamma = self._gamma(q, v)
-        return servo_forces(self, self._tree, mass_and_force, (self._jacobian(q), gamma), keys, accelerations)
+        rows_and_accelerations = tree_rows(self._tree, keys), accelerations
+        return servo_forces(self, mass_and_force, (self._jacobian(q), gamma), keys, rows_and_accelerations)
 
     def _gamma(self, q: Array, v: Array) -> Array:
         """Return gamma (k,), the right side of J dv/dt = gamma, after `_compute_kinematics`."""
@@ -376,27 +377,17 @@ class PinocchioSystem:
         if self._alpha:
             # Baumgarte's stabilization: J dv/dt = gamma - K_D dPhi/dt - K_P Phi, K_D = 2 alpha, K_P = alpha^2
             gamma -= 2.0 * self._alpha * (jacobian @ v + self.phi_t()) + self._alpha**2 * self._phi(q)
-        try:
-            acceleration, multipliers = solve_constrained(
-                mass,
-                force,
-                with_zero_rows(jacobian, self._unused),
-                with_zero_rows(gamma, self._unused),
-                self.phi_units,
-                self.velocity_units,
-                self._rank,
-            )
-        except np.linalg.LinAlgError:
-            acceleration, multipliers = np.full(self.nv, np.nan), np.zeros(len(gamma))
+        matrices = (mass, force), (jacobian, gamma)
+        acceleration, multipliers = solve_rigidly(self, self._redundancy, *matrices)
         of_closures, of_others = np.split(multipliers, [len(self._closures.units)])
-        return Solution(self._checked(acceleration), of_closures, of_others)
+        return Solution(acceleration, of_closures, of_others)
 
     def _checked(self, acceleration: Array) -> Array:
         """Return accelerations (nv,), or raise `SingularityError` if they are not finite."""
         if not np.isfinite(acceleration).all():
             names = [self._welded.mechanism.joint_names[k] for k in self._tree.cuts]
             raise SingularityError(
-                ", ".join(names) or self.mechanism.joint_names[0],
+                ", ".join(names) or None,
                 "Pinocchio's constraintDynamics returned numbers that are not finite",
             )
         return acceleration

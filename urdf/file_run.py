@@ -161,6 +161,17 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
         else:
             self._velocity = self._free @ least_squares(jacobian @ self._free, body_velocities)
 
+    def run_inputs(self, reduced: bool) -> dict[str, Any]:
+        """Return the start of a run, as numbers for JSON, so that a user's loop can repeat the run.
+
+        Args:
+            reduced: has no effect, as the loop has no elements that the imported scene lacks.
+
+        Returns:
+            Initial "q" and "v" in Pinocchio's order; quaternions are (x, y, z, w) there.
+        """
+        return {"q": self._start.tolist(), "v": self._velocity.tolist()}
+
     def words(self) -> str:
         """Describe the settings of the loop in a few words, such as "RK4, 2 ms, kp 10, kd 6.32, mu 1e-10"."""
         settings = self.settings

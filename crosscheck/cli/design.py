@@ -54,7 +54,8 @@ def controllers_command(
     """Compare controllers by tracking error, effort and energy.
 
     A scene with the option `controller` is simulated with each value of the option, in each engine. In the
-    library only the default scene has the option; its 12 runs take some minutes.
+    library only the default scene has the option, with the values computed_torque, pd, pd_gravity and lqr.
+    Its 12 runs take some minutes.
 
     The exit status is 3 if an engine cannot make one of the runs.
     """
@@ -218,7 +219,8 @@ def modes_command(
     multiple=True,
     required=True,
     metavar="JOINT=LOW:HIGH[:POINTS]",
-    help="Range of a joint coordinate relative to the initial pose, m or rad. One per degree of freedom.",
+    help="Range of a joint coordinate relative to the initial pose, m or rad, and the number of values (61 "
+    "if not given). One per degree of freedom.",
 )
 @click.option("--axis", metavar="BODY=X,Y,Z", help="Map the direction of an axis, in the frame of its body.")
 @click.option(

@@ -78,8 +78,9 @@ def regress_command(
 ) -> int:
     """Regression test: compare results with stored baselines.
 
-    A lower cost (operations, steps, evaluations) is an improvement and never fails. `crosscheck report
-    OUTPUT` writes a page of the results.
+    A baseline has masses, accelerations, reactions and runs of a model, and what they cost: operations, steps
+    and evaluations. A lower cost is an improvement and never fails. `crosscheck report OUTPUT` writes a page
+    of the results.
 
     The exit status is 0 if no value moved by more than its tolerance, else 1. It is 3 if an engine of a
     baseline is not installed, and 4 if elements of a file act that are not simulated.

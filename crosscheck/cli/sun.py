@@ -131,6 +131,8 @@ def sun_command(
     The command reports set-points, motion, pointing error and irradiance. With several latitudes or dates, a
     table compares the days. The scene has PD controllers or position actuators, with x to the east, y to the
     north and z up. A tracker that cannot face the sun comes as near as it can.
+
+    The exit status is 0, or 2 if an input is invalid or the motion cannot be simulated.
     """
     from crosscheck.library import SUN_TRACKER
     from crosscheck.solar.base import Base, base_of

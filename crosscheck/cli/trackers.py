@@ -43,7 +43,8 @@ def tracker_options(command: Callable[..., int]) -> Callable[..., int]:
             "--pitch",
             type=float,
             default=float("inf"),
-            help="Distance between rows, panel lengths, for backtracking.  [default: a single row]",
+            help="Distance to the next row in the direction of the shadow, panel lengths; for backtracking.  "
+            "[default: a single row]",
         ),
         click.option(
             "--clearance",

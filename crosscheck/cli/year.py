@@ -87,7 +87,7 @@ from crosscheck.support.errors import CrosscheckError
 @click.option(
     "--temperature-coefficient",
     type=float,
-    help="Relative change of the power, 1/K, such as -0.0035.",
+    help="Relative change of the power, 1/K, such as -0.0035.  [default: 0]",
 )
 @folder_option("output/year/SCENE")
 @verbose_option
@@ -114,6 +114,8 @@ def year_command(
 
     The command reports the irradiation by month, the lost energy, and the electric energy of a module. The
     scene has x to the east, y to the north and z up. Poses are static, one for each hour.
+
+    The exit status is 0, or 2 if an input is invalid.
     """
     from crosscheck.library import SUN_TRACKER
     from crosscheck.solar.base import base_of

@@ -16,16 +16,12 @@ import numpy as np
 from crosscheck.compare.attribution import MIN_RESIDUAL_RATIO, Cause, dynamic_cause
 from crosscheck.compare.check import MACHINE_EPSILON, REACTIONS, Check, round_off
 from crosscheck.compare.samples import RATE_ERROR, Samples
-from newton_euler.equations.system import Evaluation
+from crosscheck.engines.engine import SoftConstraints
 from newton_euler.equations.undetermined import determined
 from newton_euler.scalars import Array
 
 LEVEL = "accelerations and reactions"
 """Name of the level in checks."""
-
-SOFTNESS = 1e-2
-"""Expected error of reaction forces of soft constraints, relative to the largest force. MuJoCo limits solimp
-to 0.9999, which causes errors of about 0.1 % at any step, and larger errors in ill-conditioned mechanisms."""
 
 
 def acceleration_checks(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:
@@ -145,20 +141,21 @@ def _is_shifted_joint_point(torque: Array, force: Array) -> bool:
     )
 
 
-def softness_check(name: str, soft: Evaluation, rigid: Samples) -> Check:
+def softness_check(name: str, constraints: SoftConstraints, rigid: Samples) -> Check:
     """Compare reaction forces at the initial state between soft and rigid constraints of one engine.
 
     The check is for information: it is not judged.
 
     Args:
         name: name of the engine.
-        soft: evaluation of the initial state with the engine's soft constraints.
+        constraints: the engine's soft constraints.
         rigid: the engine's equations with rigid constraints; the first state is the initial state.
     """
     states = rigid.states
     force = rigid.evaluations[0].reaction_force
     # differences are divided by the largest force, N, or by this lower bound if all forces are nearly zero
     smallest_unit = states.energy / states.scene.mechanism.size
+    soft = constraints.evaluate(states.scene)
     gap = np.linalg.norm(soft.reaction_force - force, axis=1)
     gap = gap / max(smallest_unit, float(np.linalg.norm(force, axis=1).max()))
     return Check(
@@ -166,7 +163,7 @@ def softness_check(name: str, soft: Evaluation, rigid: Samples) -> Check:
         REACTIONS[0],
         between=(f"{name} soft", f"{name} rigid"),
         value=float(gap.max()),
-        tolerance=SOFTNESS,
+        tolerance=constraints.force_error,
         where=states.scene.mechanism.joint_names[int(np.argmax(gap))],
         judged=False,
     )

@@ -125,7 +125,7 @@ def _compare_formulations(
     rigid = samples[engine.name][0]
     scene = rigid.states.scene
     if engine.soft_constraints is not None and rigid.states.all[0] is initial_state(scene):
-        yield softness_check(engine.name, engine.soft_constraints.evaluate(scene), rigid)
+        yield softness_check(engine.name, engine.soft_constraints, rigid)
 
 
 def sample_engines(engines: Sequence[Engine], states: States) -> EngineSamples:

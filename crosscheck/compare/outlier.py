@@ -13,6 +13,7 @@ reference values (published or exact results) decide.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
@@ -36,22 +37,12 @@ from newton_euler.equations.redundancy import NearlyRedundant
 LEVEL_ORDER = (*LEVELS, REFERENCE)
 """All levels at which participants can differ, in their order."""
 
-MIN_SOFT_SINGULAR_VALUE = 1e-7
-"""Smallest singular value s of a nearly redundant constraint that affects a run with soft constraints.
-
-s is dimensionless, of the scaled constraint Jacobian: about the distance of the constraint's row from the
-span of the other rows.
-
-MuJoCo's constraints (1 - impedance = 1e-4, time constant 2e-3 s) resist the motion that such a constraint
-nearly allows. The stiffness k, divided by the inertia, is s^2 / (1e-4 (2e-3 s)^2) = 2.5e-5 1/s^2. Within
-t = 20 s it changes the motion by k t^2 = 1 %."""
-
 
 def diagnose(
     engines: Sequence[str],
     checks: Iterable[Check],
     reference_checks: Sequence[ReferenceCheck] = (),
-    soft_engines: Collection[str] = (),
+    soft_engines: Mapping[str, float] = MappingProxyType({}),
     nearly_redundant: Sequence[NearlyRedundant] = (),
     without_equations: Collection[str] = (),
     ends: Mapping[str, float] = MappingProxyType({}),
@@ -63,8 +54,8 @@ def diagnose(
         engines: names of the engines, in the order of the comparison.
         checks: all checks except those against reference values.
         reference_checks: checks against reference values.
-        soft_engines: names of engines with soft constraints. They do not omit nearly redundant constraints,
-            as engines with rigid constraints do.
+        soft_engines: `SoftConstraints.smallest_resisted` of engines with soft constraints. They do not omit
+            nearly redundant constraints, as engines with rigid constraints do.
         nearly_redundant: nearly redundant constraints of the scene.
         without_equations: engines whose equations were not compared. Differences of their runs may come from
             their models.
@@ -73,9 +64,6 @@ def diagnose(
     Returns:
         One diagnosis for each outlier, in the order of their levels. The last diagnosis may have no outlier.
     """
-    redundancy = "; ".join(
-        str(each) for each in nearly_redundant if each.singular_value > MIN_SOFT_SINGULAR_VALUE
-    )
     judged = [check for check in checks if check.judged]  # others can neither pass nor fail
     names = [*engines, *([FILE] if any(FILE in check.between for check in judged) else [])]
     wrong = {check.engine for check in reference_checks if not check.agrees}
@@ -90,7 +78,11 @@ def diagnose(
             ]
             if diagnosis.fault == "integration" and diagnosis.outlier in without_equations:
                 diagnosis = replace(diagnosis, fault="model or integration")
-            if redundancy and _concerns(diagnosis, soft_engines):
+            resisted = min(
+                (soft_engines.get(name, math.inf) for name in _concerned(diagnosis)), default=math.inf
+            )
+            redundancy = "; ".join(str(each) for each in nearly_redundant if each.singular_value > resisted)
+            if redundancy:
                 diagnosis = replace(diagnosis, fault="redundancy", evidence=redundancy)
             elif diagnosis.outlier in soft_engines and not all(check.agrees for check in drift):
                 diagnosis = replace(diagnosis, fault="softness", evidence=_violation_text(drift[0]))
@@ -112,10 +104,9 @@ def _violation_text(check: Check) -> str:
     return f"constraint violation of {joint} is {check.value:.1e} (m or rad) at {time}"
 
 
-def _concerns(diagnosis: Diagnosis, engines: Collection[str]) -> bool:
-    """Return True if one of the engines is the outlier or, without an outlier, one of the differing ones."""
-    concerned = {diagnosis.outlier} if diagnosis.outlier else set(diagnosis.differing)
-    return bool(concerned & set(engines))
+def _concerned(diagnosis: Diagnosis) -> Collection[str]:
+    """Return the outlier or, without an outlier, the differing engines."""
+    return [diagnosis.outlier] if diagnosis.outlier else diagnosis.differing
 
 
 def _without(outlier: str, names: Sequence[str], checks: Iterable[Check]) -> tuple[list[str], list[Check]]:

@@ -340,7 +340,11 @@ def diagnosed(
         names,
         checks,
         reference_checks,
-        soft_engines=[each.name for each in engines if each.soft_constraints and each.name not in ends],
+        soft_engines={
+            each.name: each.soft_constraints.smallest_resisted
+            for each in engines
+            if each.soft_constraints and each.name not in ends
+        },
         nearly_redundant=mobility(scene).nearly,
         without_equations=by_runs_only(names, checks),
         ends=ends,

@@ -19,7 +19,6 @@ from itertools import combinations
 
 import numpy as np
 
-from crosscheck.compare.accelerations import SOFTNESS
 from crosscheck.compare.check import (
     CONSTRAINT_VIOLATION,
     ERROR_PER_CHANGE,
@@ -185,7 +184,7 @@ def compare_runs(
         has_reactions = all(runs[engine.name].reaction_force is not None for engine in (a, b))
         if not has_reactions or (a.name, b.name) in differing_pairs:
             return
-        soft = SOFTNESS * sum(engine.soft_constraints is not None for engine in (a, b))
+        soft = sum(each.soft_constraints.force_error for each in (a, b) if each.soft_constraints)
         end = checks.shortest((a, b))
         largest = min(largest_reaction(runs[engine.name].first(end), size) for engine in (a, b))
         force_unit = max(energy / size, largest)

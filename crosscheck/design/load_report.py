@@ -80,6 +80,7 @@ class CaseNotes(NamedTuple):
         winds: flow on the plates of wind loads.
         acting: elements of the model file that would have acted and are not simulated.
         coarse: joints with peaks that the output period may cut off.
+        singular: singular configurations of the run, in words.
         from_model_file: True for a model file, which has the option `excitation`.
     """
 
@@ -90,6 +91,7 @@ class CaseNotes(NamedTuple):
     winds: Mapping[str, Sequence[WindRange]]
     acting: Mapping[str, Sequence[ImportedElement]]
     coarse: Mapping[str, CoarsePeak]
+    singular: Mapping[str, str]
     from_model_file: bool
 
 
@@ -174,7 +176,7 @@ def load_report(
 
 def _case_lines(notes: CaseNotes, named: bool, at_rest: bool) -> list[Lines]:
     """Describe the cases: options, what stands for inputs that vary in time at rest, and the flow on plates,
-    with warnings where the coefficients are not valid."""
+    with warnings where the coefficients are not valid, and of singular configurations."""
 
     def where(name: str) -> str:
         return f"case {name}: " if named else ""
@@ -203,6 +205,7 @@ def _case_lines(notes: CaseNotes, named: bool, at_rest: bool) -> list[Lines]:
         for each in found
         if each.warning
     ]
+    warnings += [f"{where(name)}{found}" for name, found in notes.singular.items()]
     parts = [Lines("", lines)] if lines else []
     return [*parts, Lines("", warnings, verdict="doubtful")] if warnings else parts
 

@@ -18,9 +18,11 @@ import numpy as np
 
 from crosscheck.compare.activity import watched
 from crosscheck.compare.runs import nothing_moves
+from crosscheck.compare.singularity import SingularConfigurations, find_singular_configurations
 from crosscheck.design.load_plots import load_figure
 from crosscheck.design.load_report import CaseNotes, CoarsePeak, load_report, negligible_force
 from crosscheck.design.wind_validity import wind_ranges
+from crosscheck.engines.engine_runs import Stop, collecting_errors, stops_text
 from crosscheck.library import option_values
 from crosscheck.report.plots import png
 from crosscheck.report.render import as_json, markdown
@@ -100,6 +102,7 @@ def loads(
     check_writable(table, case_table, results, plot, recording)
     # Runs, and elements of the model file, such as contacts, that would have acted in them
     runs, acting = dict[str, Trajectory](), dict[str, list[ImportedElement]]()
+    singular = dict[str, str]()  # singular configurations of the runs, in words
     at_peak = dict[str, tuple[Scene, list[HeldWind]]]()  # of rest: constant winds, and what they stand for
     for name, (_, scene, import_report) in cases.items():
         with limited(f"case {name}", "a shorter duration, or fewer cases", progress):
@@ -111,6 +114,8 @@ def loads(
                 runs[name] = simulate(complete)
             if import_report and (found := watched(scene, import_report, runs[name]).acting):
                 acting[name] = found
+        if not at_rest and (text := _singular_text(scene, runs[name], progress)):
+            singular[name] = text
     # The envelope takes axes of joints from the mechanism, which is the same in all cases
     first_scene = next(iter(cases.values())).scene
     envelope = load_envelope(first_scene, runs)
@@ -127,6 +132,7 @@ def loads(
         },
         acting=acting,
         coarse={name: peak for name, run in runs.items() if (peak := coarse_peak(first_scene, run))},
+        singular=singular,
         from_model_file=any(case.import_report is not None for case in cases.values()),
     )
     report = load_report(first_scene, envelope, envelopes, at_rest, notes)
@@ -148,6 +154,7 @@ def loads(
         "loads_of_cases": {name: [_of_case(each) for each in _ranges(envelopes[name])] for name in cases},
         "winds": {name: [each._asdict() for each in found] for name, found in notes.winds.items()},
         "held_winds": {name: [held._asdict() for held in each] for name, each in notes.held_winds.items()},
+        "singular": singular,
         "not_simulated": {name: [asdict(entry) for entry in entries] for name, entries in acting.items()},
     }
     texts = {
@@ -157,6 +164,20 @@ def loads(
     }
     write_files({**texts, **shown})
     return Loads(report, [table, case_table, results, plot, recording], acting)
+
+
+def _singular_text(scene: Scene, run: Trajectory, progress: Callable[[str], None]) -> str:
+    """Describe the singular configurations that a run starts in or passes, or why they are not known.
+
+    The text is "" if there are none.
+    """
+    what, stops = "searching singular configurations", list[Stop]()
+    found: SingularConfigurations | None = None
+    with collecting_errors(what, stops), limited(what, "a shorter duration", progress):
+        found = find_singular_configurations(scene, run)
+    if found:
+        return f"{found}; the loads from then on are those of one branch of several"
+    return stops_text(stops)
 
 
 def coarse_peak(scene: Scene, run: Trajectory) -> CoarsePeak | None:

@@ -167,7 +167,7 @@ def _parts_in_one_file(common: CommonFrames, number: int) -> str:
             )
             if all(size <= uncertainty for size, uncertainty in sizes):
                 parts = ", ".join(f"{robot.bodies[b].name} ({robot.bodies[b].mass:.4g} kg)" for b in extra)
-                return f"{parts} only in the {where} file"
+                return f"{parts} only in the {where} robot"
     return ""
 
 

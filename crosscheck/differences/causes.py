@@ -218,7 +218,7 @@ def _missing_columns(rows: list[Difference], formats: tuple[str, str]) -> Iterat
             values = [_numbers((rows[index].first, rows[index].second)[where]) for index in group]
             finite = np.concatenate([value for value in values if value is not None] or [np.zeros(1)])
             span = f"{finite.min():.4g}" + (f" to {finite.max():.4g}" if np.ptp(finite) else "")
-            cause = _lack(formats[other], quantity).removeprefix("; ") or "only in one file"
+            cause = _lack(formats[other], quantity).removeprefix("; ") or "only in one robot"
             found = merged_rows([rows[index] for index in group], cause)
             found = replace(found, first=span) if where == 0 else replace(found, second=span)
             yield Hypothesis(frozenset(group), found)

@@ -15,12 +15,13 @@ import numpy as np
 
 from newton_euler.model.control import ComputedTorque, DeclaredLaw
 from newton_euler.model.digital_control import HeldLaw, Law
-from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring
+from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.switched_forces import ElasticGear, JointFriction, JointStop
 from newton_euler.model.variable import altered
+from newton_euler.model.wind import WindLoad
 from newton_euler.reading.switched_loads import SwitchedLoad, switched_load
 from newton_euler.reading.wrenches import Wrenches
 from newton_euler.scalars import Array
@@ -34,8 +35,13 @@ Motions = Mapping[Key, tuple[float, float]]
 
 def coordinate_elements(scene: Scene) -> list[CoordinateElement]:
     """Return the control laws, then the other forces along joint coordinates; the order is the scene's."""
-    kinds = (JointSpring, JointFriction, JointStop, ElasticGear)
-    return [*scene.control, *(force for force in scene.forces if isinstance(force, kinds))]
+    found: list[CoordinateElement] = [*scene.control]
+    for force in scene.forces:
+        if isinstance(force, JointSpring | JointFriction | JointStop | ElasticGear):
+            found.append(force)
+        elif not isinstance(force, BallSpring | PointSpring | Wrench | WindLoad):
+            assert_never(force)
+    return found
 
 
 def coordinate_load(

@@ -19,8 +19,9 @@ from crosscheck.engines.benchmarks import Benchmarks
 from crosscheck.engines.limits import Limit, no_limits
 from crosscheck.engines.stress import StressSettings
 from crosscheck.library import REFERENCE_QUANTITIES
+from crosscheck.support.errors import CrosscheckError
 from newton_euler.equations.system import Evaluation, System
-from newton_euler.errors import DISTRIBUTION
+from newton_euler.errors import DISTRIBUTION, is_finite_number
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.robot import RobotFile
@@ -73,11 +74,23 @@ class FixedSteps(NamedTuple):
     steps: int
 
 
+class Integrators(NamedTuple):
+    """Integrators of default runs of an engine that chooses them for each scene.
+
+    Attributes:
+        explicit: for scenes that are not stiff.
+        implicit: for stiff scenes.
+    """
+
+    explicit: Literal["DOP853", "RK4"]
+    implicit: str
+
+
 class ImporterLimit(NamedTuple):
     """Documented gap of an importer: the elements of files of a format that it does not read.
 
     Attributes:
-        kinds: kinds of elements, and names of quantities, see `crosscheck.differences.importers`.
+        kinds: kinds of elements and names of quantities, such as "loop" and "stiffness".
         words: the limit in words.
     """
 
@@ -103,10 +116,16 @@ class SoftConstraints(NamedTuple):
     Attributes:
         evaluate: evaluates the initial state of a scene with these constraints.
         solver_tolerance: relative improvement below which the iteration for their forces ends.
+        force_error: expected error of reaction forces of runs, relative to the largest force.
+        smallest_resisted: smallest singular value of a nearly redundant constraint that affects a run. It is
+            dimensionless, of the scaled constraint Jacobian: about the distance of the constraint's row from
+            the span of the other rows.
     """
 
     evaluate: Callable[[Scene], Evaluation]
     solver_tolerance: float
+    force_error: float
+    smallest_resisted: float
 
 
 def no_systems(scene: Scene) -> tuple[System, ...]:
@@ -127,7 +146,9 @@ class Engine:
             of coordinates); an empty tuple if it cannot, so that it is compared by its runs only.
         limits: lists what the engine cannot express of a scene; `simulate` and `systems` refuse such a scene
             by a `CannotExpressError`, and comparisons leave the engine out with this reason.
-        trajectory_error: expected error of poses, relative to the mechanism's reach (positions) or in rad.
+        trajectory_error: expected error of poses, relative to the mechanism's reach (positions) or in rad;
+            like `drift`, `energy_error` and `SoftConstraints.force_error`, it is above 0 and at most
+            `MAX_RELATIVE_ERROR`.
         drift: expected constraint violation, relative to the mechanism's reach (lengths) or in rad.
         energy_error: expected energy balance error, relative to the largest energy.
         package: distribution of the engine, as pip names it, whose version is recorded; that of the entry
@@ -136,21 +157,26 @@ class Engine:
         min_version: oldest version of the package that can be used.
         color: color #rrggbb of an engine of another package; one that follows from its name if it is empty.
         line: line of its curves.
-        explicit: integrator of default runs of scenes that are not stiff.
+        integrators: explicit and implicit integrator of default runs; None if the engine has one for all
+            scenes.
         exact: settings of the most accurate runs, for reference values; `refined` is used if None.
         soft_constraints: the engine's soft constraints; None if its constraints are rigid.
         refined_in_full: as `refined`, but always with reactions and actuator forces; `refined` is used if
             None.
         fixed_steps: runs at a fixed step; None if the engine has none, or none that repeats to round-off.
-        at_tolerance: returns settings of DOP853 at a relative tolerance, with rigid constraints; None if the
-            engine has no such runs, or equations that are not independent of newton_euler's.
+        at_tolerance: returns settings of DOP853 at a relative tolerance, with rigid constraints, for the
+            reference of benchmarks, which default engines compute. None if the engine has no such runs, or
+            equations that are not independent of newton_euler's.
         with_moved_anchor: returns the equations of a scene with the point of one joint in its second body
             moved by a vector (3,), m, as an injected fault; None if the engine takes both points from the
-            scene. The joint, by name, closes a loop outside of the spanning tree in which balls with springs
-            and rotors are kept (`WeldedMechanism.closing_joints`), and is no rod.
+            scene. crosscheck chooses the joint: one that closes a loop, and no rod. Only the studies of
+            injected faults call this function.
         importer: the engine's own reader of model files; None if it reads neither MJCF nor URDF.
         stress_settings: imports the settings of stress tests; the default runs alone if None.
         benchmarks: imports the benchmarks of the engine.
+
+    Raises:
+        CrosscheckError: for an expected error that is not allowed.
     """
 
     name: str
@@ -166,7 +192,7 @@ class Engine:
     min_version: str = "0"
     color: str = ""
     line: LineStyle = OTHER_LINE
-    explicit: Literal["DOP853", "RK4"] = "DOP853"
+    integrators: Integrators | None = None
     exact: Settings | None = None
     soft_constraints: SoftConstraints | None = None
     refined_in_full: Callable[[Scene], Trajectory] | None = None
@@ -176,6 +202,15 @@ class Engine:
     importer: Importer | None = None
     stress_settings: Callable[[], StressSettings] | None = None
     benchmarks: Callable[[], Benchmarks] = Benchmarks
+
+    def __post_init__(self) -> None:
+        errors = {name: getattr(self, name) for name in ("trajectory_error", "drift", "energy_error")}
+        if self.soft_constraints is not None:
+            errors["force_error of soft_constraints"] = self.soft_constraints.force_error
+        for name, value in errors.items():
+            if not (is_finite_number(value) and 0.0 < value <= MAX_RELATIVE_ERROR):
+                needed = f"a number above 0, at most {MAX_RELATIVE_ERROR:g}"
+                raise CrosscheckError(f"engine {self.name!r}: {name} is {value!r:.100}; needed: {needed}")
 
     def stress(self) -> StressSettings:
         """Return the settings of stress tests."""

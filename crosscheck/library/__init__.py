@@ -116,7 +116,7 @@ def load(name: str, /, **options: str | float) -> Scene:
             raise CrosscheckError(f"{name}: cannot be read; needed: a name that ends in {endings}")
         raise CrosscheckError(f"unknown scene {name!r}; {choices(name, SCENES)}, or give a {endings} file")
     if options:
-        raise CrosscheckError(f"scene file {name!r} takes no options, got {listed(options)}")
+        raise CrosscheckError(f"scene file {name!r} takes no options, got {listed(options)}; edit the file")
     from crosscheck.library.scene_file import read_scene
 
     return read_scene(name)

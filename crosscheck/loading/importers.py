@@ -62,7 +62,7 @@ class Reading:
 
     Attributes:
         importer: "crosscheck", or the name of the engine in texts, such as "MuJoCo".
-        file: the robot that it reads, without variants; None after a failure.
+        file: description of the robot for the comparison; None after a failure.
         failure: its failure; None without one.
         message: the importer's own message, or how its process ended; "" without a failure.
     """

@@ -201,10 +201,11 @@ def read_columns(table: LogTable, elements: Elements, options: LogOptions) -> Lo
 
 
 def _divergence(table: LogTable, found: Mapping[Target, FoundColumn], time: Array) -> tuple[int, str]:
-    """Find the row from which on coordinates or poses have no finite numbers, as of a run that diverged.
+    """Find the row from which on columns have no numbers of a mechanism, as of a run that diverged.
 
-    Cells without numbers at the end of a column count if they are more in a row than anywhere before:
-    exports of several topics have such cells between numbers.
+    Cells without numbers at the end of a column count if they begin with a number that is too large. Empty
+    cells there count for coordinates and poses if they are more in a row than anywhere before: exports of
+    several topics have such cells between numbers.
 
     Returns:
         The index of that row, and columns and time before it in words; else the number of rows and "".
@@ -212,10 +213,12 @@ def _divergence(table: LogTable, found: Mapping[Target, FoundColumn], time: Arra
     ends: dict[str, int] = {}
     for each in found.values():
         numbers = np.flatnonzero(_has_numbers(table, each))
-        if each.target.kind in MOTION_KINDS and len(numbers):
-            longest = int(np.max(np.diff(numbers), initial=1)) - 1
-            if len(time) - 1 - numbers[-1] > longest:
-                ends[each.name] = int(numbers[-1]) + 1
+        if not len(numbers) or (end := int(numbers[-1]) + 1) == len(time):
+            continue
+        longest = int(np.max(np.diff(numbers), initial=1)) - 1
+        is_empty = each.target.kind in MOTION_KINDS and len(time) - end > longest
+        if is_empty or not np.isnan(table.columns[each.name][end]):
+            ends[each.name] = end
     if not ends:
         return len(time), ""
     end = min(ends.values())

@@ -16,11 +16,12 @@ import numpy as np
 
 from crosscheck.logs.columns import LogData
 from crosscheck.logs.inputs import held_inputs
+from crosscheck.logs.lacking import Lack, find_lack
 from crosscheck.logs.mistakes import Mismatch, Mistake, find_mismatches, find_mistakes
 from crosscheck.logs.names import Origin
 from crosscheck.logs.options import LogOptions
 from crosscheck.logs.poses import loop_errors
-from crosscheck.logs.reading import LogReading, OtherInputs
+from crosscheck.logs.reading import LogReading, OtherInputs, row_stride
 from crosscheck.logs.start import LogStart
 from crosscheck.logs.table import read_table
 from crosscheck.own_run.allowed import ErrorKind, without_loops
@@ -52,10 +53,6 @@ _VELOCITIES = (("linear_velocity", "xyz"), ("angular_velocity", "xyz"))
 class Log:
     """Run of another simulator or of a test bench, with statements on its columns, for `crosscheck.check`.
 
-    Attributes:
-        table: path of a CSV or Parquet file, DataFrame, or mapping from names to columns.
-        options: statements on the columns.
-
     Examples:
         >>> run = simulate(load("pendulum"))
         >>> angle = np.degrees(run.joint("pivot").coordinates[:, 0])
@@ -70,12 +67,7 @@ class Log:
         Args:
             table: path of a CSV or Parquet file, DataFrame, or mapping from names to columns.
             options: statements on the columns; None for none.
-            statements: `LogOptions` by name. `quaternion` is "wxyz" or "xyzw", the order of columns. `angle`,
-                `length` and `time` are units that the names of columns do not have, such as "deg".
-                `offset` is the time of the log, s, at which the scene starts. `position` is "center" or
-                "frame". `zero` is "start" for joint coordinates that are zero at the start of the scene.
-                `inputs` is "scene" to ignore inputs of the log, and "before" if the input of a row belongs to
-                the step before. `columns` maps columns to quantities.
+            statements: attributes of `LogOptions` by name, such as `angle="deg"`.
 
         Raises:
             UnknownNameError, OptionError: for an unknown statement or value.
@@ -102,20 +94,23 @@ class LogJudgement(Judgement):
         missing: bodies that the log does not determine, with the joint coordinates that it lacks there.
         compared: names of the compared bodies.
         rows: number of compared rows.
+        stride: 2 if every second row is compared, 3 if every third, and so on.
         unknown_positions: compared bodies of which the log does not determine the position.
         unknown_orientations: compared bodies of which the log does not determine the orientation.
         points: point of the bodies that positions are of, "center" or "frame"; "" without positions.
         has_energy: True if the log determines the energy.
         has_loops: True if the log determines the poses of all bodies of loops, or if there are no loops.
         has_inputs: True if the reference has inputs of the log.
-        held_inputs: actuators whose controls the reference holds at their start, see
-            `crosscheck.logs.inputs.held_inputs`.
+        held_inputs: actuators whose controls the reference holds at their start, because the log does not
+            have their inputs.
         other_inputs: comparisons with inputs at other times; None without inputs, and for a log
             that is accurate or has mistakes.
         start_error: error that another fit of the start velocities causes; None if they are not fitted.
         unused: columns that belong to no quantity.
         dropped: number of rows without some of the numbers.
         mistakes: other readings with a much smaller error, and coordinates that contradict the poses.
+        lack: elements of the model that the log's simulation seems not to have; None if none explain the
+            error, and for a log that is accurate or has mistakes.
     """
 
     name: str = ""
@@ -128,6 +123,7 @@ class LogJudgement(Judgement):
     unknown_positions: tuple[str, ...] = ()
     unknown_orientations: tuple[str, ...] = ()
     rows: int = 0
+    stride: int = 1
     points: Origin = ""
     has_energy: bool = False
     has_loops: bool = False
@@ -138,6 +134,7 @@ class LogJudgement(Judgement):
     unused: tuple[str, ...] = ()
     dropped: int = 0
     mistakes: tuple[Mistake | Mismatch, ...] = ()
+    lack: Lack | None = None
 
     @property
     def why_not_judged(self) -> str:
@@ -195,6 +192,7 @@ class LogJudgement(Judgement):
             "thinned": asdict(other.thinned),
         }
         result["start_error"] = asdict(self.start_error) if self.start_error else None
+        result["lack"] = self.lack and asdict(self.lack)
         result["mistakes"] = [asdict(mistake) | {"text": mistake.text} for mistake in self.mistakes]
         names = (
             "name",
@@ -204,6 +202,7 @@ class LogJudgement(Judgement):
             "unknown_positions",
             "unknown_orientations",
             "rows",
+            "stride",
             "points",
             "has_inputs",
             "held_inputs",
@@ -269,9 +268,10 @@ def _judged(reading: LogReading, name: str, options: LogOptions, watch: Watch) -
         error = run_error(run, compared.reference_at(run.time), scale)
     # the reference stops before the log and before all reasons to end the comparison
     is_unjudged = bool(compared.reference_stop) and until is None and not all(horizons)
-    other_inputs = None
+    other_inputs, lack = None, None
     if error.band in (Band.OFF, Band.WRONG) and not mistakes:
         other_inputs = reading.other_inputs(options, compared)
+        lack = find_lack(reading, options, error, rows, scale)
     loops = loop_errors(reading.scene.mechanism, compared.poses)
     return LogJudgement(
         engine=reading.table.where,
@@ -297,6 +297,7 @@ def _judged(reading: LogReading, name: str, options: LogOptions, watch: Watch) -
         unknown_positions=compared.unknown_positions,
         unknown_orientations=compared.unknown_orientations,
         rows=rows,
+        stride=row_stride(compared.data),
         points=compared.points,
         has_energy=compared.has_energy,
         has_loops=loops is not None,
@@ -307,6 +308,7 @@ def _judged(reading: LogReading, name: str, options: LogOptions, watch: Watch) -
         unused=data.unused,
         dropped=data.dropped,
         mistakes=(*mistakes, *find_mismatches(reading, options, compared)),
+        lack=lack,
     )
 
 

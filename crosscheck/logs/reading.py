@@ -46,6 +46,11 @@ EQUAL_SPACING = 1e-6
 """Largest deviation of a row from equal spacing, relative to the spacing, that is round-off of the file."""
 
 
+def row_stride(data: LogData) -> int:
+    """Return 1 if every row of a log is compared, 2 if every second row is, and so on."""
+    return -(-len(data.time) // MAX_ROWS)
+
+
 @dataclass(frozen=True, eq=False)
 class ComparedLog:
     """A log and the reference solution from its start.
@@ -174,8 +179,7 @@ class LogReading:
             start: start of the reference.
         """
         # rows to compare, and outputs of the reference at these or at closer times
-        stride = -(-len(data.time) // MAX_ROWS)
-        rows = data.at(np.arange(0, len(data.time), stride))
+        rows = data.at(np.arange(0, len(data.time), row_stride(data)))
         times = rows.time - rows.time[0]
         scene = replace(
             scene,

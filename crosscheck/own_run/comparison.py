@@ -185,14 +185,14 @@ class Comparison:
         error = ending.error(run)
         by_position = error.relative_position >= error.relative_rotation
         body, _ = error.position_at if by_position else error.rotation_at
-        outputs = outputs_before(self.reference.time, events[0].time) - 1  # after the start
+        outputs = self._outputs_until(events[0])
         return ending if outputs >= MIN_OUTPUTS and ending.scale.by_body[body].moves(by_position) else None
 
     def why_too_short(self, event: Event) -> str:
         """Return why the motion until an event is too short to judge, see `until_event`, and what to do."""
         if event.time > (end := float(self.reference.time[-1])):
             return f"the judged run ends at {end:.3g} s, as it has too many time steps"
-        outputs = outputs_before(self.reference.time, event.time) - 1  # after the start
+        outputs = self._outputs_until(event)
         if outputs >= MIN_OUTPUTS:
             return "the motion until then is below the smallest scale"
         step = self.simulation.settings.timestep
@@ -203,6 +203,10 @@ class Comparison:
             return f"{found}, and steps of {1e3 * step:g} ms are too long for more"
         every = 4 * (most // 4) or min(most, 2)
         return f"{found}; --set output_period={every * step:.10g} gives enough"
+
+    def _outputs_until(self, event: Event) -> int:
+        """Return the number of outputs after the start and before an event."""
+        return outputs_before(self.reference.time, event.time) - 1
 
     @property
     def horizons(self) -> tuple[float | None, ...]:

@@ -162,7 +162,8 @@ class MechanismMotion:
         length: largest displacement of a center of mass, m.
         angle: largest rotation of a body, rad.
         until: time, s, at which the comparison of the mechanism ends because its motion is chaotic or
-            unstable from then on, see `crosscheck.own_run.horizon`; None if it is compared to the end.
+            unstable from then on: a change of its start has grown by a factor of 1000. None if it is compared
+            to the end.
     """
 
     bodies: tuple[str, ...]
@@ -200,7 +201,7 @@ class MotionScale:
         mechanisms: extent of the motion of each mechanism.
         energy: largest kinetic energy plus the range of the potential energy of all bodies, J, while all
             mechanisms are compared; at least the energy of pendulums of the mechanisms' masses and sizes that
-            swing by `MIN_SCALE`.
+            swing by 0.01 rad.
     """
 
     mechanisms: tuple[MechanismMotion, ...]

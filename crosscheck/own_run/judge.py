@@ -40,6 +40,9 @@ CANCELLATION = 1.05
 """Smallest ratio of the error by one cause and the error of the run at which errors count as cancelling."""
 
 
+SEPARATION = 1.0
+"""Error of a run, as a fraction of the motion, above which errors by causes do not add up to it."""
+
 MIN_EXPLAINED = 0.75
 """Smallest sum of the errors by all causes, as a fraction of the run's error, that explains this error."""
 
@@ -102,7 +105,8 @@ class Judgement:
             file's engine has them.
         approximated: dry friction and limits of the file that the reference has as forces. The difference of
             both models is a part of the error.
-        stiffer_limits: see `newton_euler.reading.file_run.FileSimulation`.
+        stiffer_limits: change of the file that makes its limits stiffer, as text; "" if there are none, or if
+            they are as stiff as the time step permits.
         needs: elements that the run has, and that a user's own time loop lacks unless the user adds them.
         causes: error by property of the settings, largest first; empty for an accurate run. If the run before
             the first event needs no causes, `without` has those of the run without `events`.
@@ -122,7 +126,7 @@ class Judgement:
         extended_to: time, s, until which the run is judged although the scene ends before, as its duration
             is too few time steps; None if the run ends with the scene.
         run_inputs: start, controls, changed numbers and output times of the judged run. With these,
-            the engine alone can repeat the run, see `FileSimulation.run_inputs`.
+            the engine alone can repeat the run.
     """
 
     engine: str
@@ -179,6 +183,12 @@ class Judgement:
         exact = [cause.error.relative_by(by_position) for cause in self.causes if not cause.is_choice]
         largest = max(exact, default=0.0)
         return not self.stopped and largest > CANCELLATION * self.error.relative_by(by_position)
+
+    @property
+    def has_separated(self) -> bool:
+        """True if the error is about as large as the motion; causes then compare runs that have parted."""
+        moves = all(each.moves(self.error.stated_by_position) for each in self.scale.mechanisms)
+        return not self.stopped and moves and self.error.relative > SEPARATION
 
     @property
     def have_one_error(self) -> bool:

@@ -17,7 +17,7 @@ from crosscheck.own_run.allowed import AllowedError, without_loops
 from crosscheck.own_run.comparison import MIN_OUTPUTS, Comparison, MeasuredSettings, with_names
 from crosscheck.own_run.errors import ACCURATE_BELOW, LoopError, MotionScale
 from crosscheck.support.errors import CrosscheckError
-from newton_euler.reading.file_run import Event, FileSimulation
+from newton_euler.reading.file_run import Event, FileSimulation, LoopNeed
 
 MAX_ORDER = 6.0
 """Largest order of convergence that the search allows for: the 4 of RK4, and a margin for steps that are too
@@ -95,7 +95,7 @@ class SettingsSearch:
             acts; None if runs are compared to the end. If there are `events`, all runs are then without them,
             because the motion until the first event is too short.
         has_converged: True if no settings reach the target because smaller steps do not reduce the error.
-        approximated, stiffer_limits: see `Judgement`.
+        approximated, stiffer_limits, needs: see `Judgement`.
         scale: extent of the motion, by which errors are divided, and the time until which each mechanism is
             compared because its motion is chaotic or unstable from then on.
         settings_place: where the user pastes the found settings.
@@ -114,6 +114,7 @@ class SettingsSearch:
     has_converged: bool = False
     approximated: tuple[str, ...] = ()
     stiffer_limits: str = ""
+    needs: tuple[LoopNeed, ...] = ()
     settings_place: str = "the model"
 
     def summary(self) -> dict[str, Any]:
@@ -264,6 +265,7 @@ def search_settings(
         has_converged=has_converged and found is None,
         approximated=tuple(simulation.approximated),
         stiffer_limits=simulation.stiffer_limits,
+        needs=tuple(simulation.needs),
         settings_place=simulation.settings_place,
     )
 

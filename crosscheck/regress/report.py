@@ -209,7 +209,8 @@ def next_steps(comparisons: Sequence[Comparison]) -> list[str]:
         steps.append(f"Install {', '.join(names)} to measure the rest of the baselines.")
     if any(comparison.acting for comparison in comparisons):
         steps.append("Accept elements that act and are not simulated with `--allow-reduced`, or avoid them.")
-    if any(comparison.cheaper or comparison.more_accurate for comparison in comparisons):
+    improved = [each for each in comparisons if (each.cheaper or each.more_accurate) and not each.moved]
+    if improved:
         steps.append("Store the improvement with `--update REASON`, so that a later loss shows.")
     return steps
 

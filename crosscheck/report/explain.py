@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
@@ -42,8 +42,20 @@ TOPICS = (
 )
 """Names of the files, in the order of the output."""
 
-LABELS = ("Tolerance", "Failure", "Next")
+LABELS = ("Tolerance", "Failure", "Likely cause", "Next")
 """Labels of paragraphs of an explanation, in their order."""
+
+TOPICS_WITH_HEADINGS = (
+    "levels",
+    "checks",
+    "reading_checks",
+    "faults",
+    "verdicts",
+    "notes",
+    "lines",
+    "findings",
+)
+"""Topics with a heading for each name on the site; the names of other topics are rows of tables."""
 
 MAX_SIMILAR = 3
 """Largest number of similar names in the message on an unknown name."""
@@ -58,7 +70,8 @@ class Explanation:
         also: other spellings, such as "OFF BY" for the accuracy OFF.
         meaning: what was compared, or what the name means.
         labeled: further paragraphs by label, one of `LABELS`.
-        group: heading of the table on the site that begins with this name; "" to continue the table.
+        group: heading of the names on the site that begin with this name; "" to continue the group.
+        group_text: what all names of the group have in common.
     """
 
     name: str
@@ -66,6 +79,7 @@ class Explanation:
     meaning: str
     labeled: dict[str, str]
     group: str = ""
+    group_text: str = ""
 
 
 @dataclass(frozen=True)
@@ -93,25 +107,31 @@ def read_topic(name: str) -> Topic:
     """Read the explanations of one topic, see `TOPICS`."""
     head, *sections = (FOLDER / f"{name}.md").read_text().split("\n## ")
     title, *texts = _paragraphs(head.removeprefix("# "))
-    return Topic(title, " ".join(texts), tuple(map(_explanation, sections)))
+    explanations: list[Explanation] = []
+    for section in sections:
+        each = _explanation(section)
+        if explanations and not each.group:
+            each = replace(each, group_text=explanations[-1].group_text)
+        explanations.append(each)
+    return Topic(title, " ".join(texts), tuple(explanations))
 
 
 def _explanation(section: str) -> Explanation:
     """Read one explanation: its name, and paragraphs with or without a label."""
     name, *paragraphs = _paragraphs(section)
     also: tuple[str, ...] = ()
-    meaning, labeled, group = [], dict[str, str](), ""
+    meaning, labeled, group, group_text = [], dict[str, str](), "", ""
     for paragraph in paragraphs:
         label, colon, text = paragraph.partition(": ")
         if colon and label == "Also":
             also = tuple(text.split("; "))
         elif colon and label == "Group":
-            group = text
+            group, _, group_text = text.partition(": ")
         elif colon and label in LABELS:
             labeled[label] = text
         else:
             meaning.append(paragraph)
-    return Explanation(name, also, " ".join(meaning), labeled, group)
+    return Explanation(name, also, " ".join(meaning), labeled, group, group_text)
 
 
 def _paragraphs(text: str) -> list[str]:
@@ -162,7 +182,7 @@ def names_to_explain(result: EngineComparison) -> tuple[str, ...]:
 def explanation_lines(topic: Topic, explanation: Explanation) -> Iterator[str]:
     """Yield the lines of an explanation for the terminal."""
     yield f"{explanation.name} ({topic.title})"
-    yield f"  {explanation.meaning}"
+    yield f"  {' '.join(filter(None, [explanation.meaning, explanation.group_text]))}"
     for label in LABELS:
         if label in explanation.labeled:
             yield f"  {label}: {explanation.labeled[label]}"
@@ -171,33 +191,61 @@ def explanation_lines(topic: Topic, explanation: Explanation) -> Iterator[str]:
 def explanation_markdown(name: str) -> Iterator[str]:
     """Yield the lines of the explanations of one topic for a page of the site.
 
-    Each name has a heading. Topics without tolerances and failures are tables with a row for each name, one
-    table for each group of names.
+    Each name has a heading (see `TOPICS_WITH_HEADINGS`) or a row of a table with an anchor. Each group of
+    names has a heading and, in topics with tables, a table.
 
     Args:
         name: the topic, one of `TOPICS`.
     """
     topic = read_topic(name)
     yield f"## {topic.title}\n\n{topic.text}\n"
-    if any(set(each.labeled) - {"Next"} for each in topic.explanations):
-        for each in topic.explanations:
-            yield f"### {each.name}\n\n{each.meaning}{_also(each)}\n"
-            for label in LABELS:
-                if label in each.labeled:
-                    yield f"- **{label}**: {each.labeled[label]}"
-            yield ""
-    else:
-        has_next = any(each.labeled for each in topic.explanations)
-        head = "| name | meaning | what you do |" if has_next else "| name | meaning |"
-        rule = re.sub("[^|]+", "---", head)
-        for number, each in enumerate(topic.explanations):
-            if each.group:
-                yield f"\n### {each.group}\n"
-            if each.group or number == 0:
-                yield f"{head}\n{rule}"
-            last = f" {each.labeled.get('Next', '')} |" if has_next else ""
-            yield f"| {each.name} | {each.meaning}{_also(each)} |{last}"
-        yield f"\nTable: {topic.title[0].lower()}{topic.title[1:]}.\n"
+    groups: list[list[Explanation]] = []
+    for each in topic.explanations:
+        if each.group or not groups:
+            groups.append([])
+        groups[-1].append(each)
+    for group in groups:
+        first = group[0]
+        if first.group:
+            yield f"### {first.group}\n"
+        if first.group_text:
+            yield f"{first.group_text}\n"
+        if name in TOPICS_WITH_HEADINGS:
+            yield from _with_headings(group, "####" if first.group else "###")
+        else:
+            yield from _table(name, group)
+            title = first.group or topic.title
+            yield f"\nTable: {title[0].lower()}{title[1:]}.\n"
+
+
+def _with_headings(group: list[Explanation], mark: str) -> Iterator[str]:
+    """Yield explanations with a heading for each name.
+
+    Args:
+        group: the explanations.
+        mark: number signs of a heading.
+    """
+    for each in group:
+        yield f"{mark} {each.name}\n\n{each.meaning}{_also(each)}\n"
+        for label in LABELS:
+            if label in each.labeled:
+                yield f"- **{label}**: {each.labeled[label]}"
+        yield ""
+
+
+def _table(topic: str, group: list[Explanation]) -> Iterator[str]:
+    """Yield a table with a row for each name, whose anchor has the topic and the name.
+
+    Args:
+        topic: the topic, one of `TOPICS`.
+        group: the explanations.
+    """
+    has_next = any(each.labeled for each in group)
+    yield "| name | meaning | what you do |\n|---|---|---|" if has_next else "| name | meaning |\n|---|---|"
+    for each in group:
+        anchor = f"{topic}-{re.sub('[^a-z0-9]+', '-', each.name.lower())}"
+        last = f" {each.labeled.get('Next', 'nothing')} |" if has_next else ""
+        yield f"| [{each.name}](#{anchor}){{ #{anchor} }} | {each.meaning}{_also(each)} |{last}"
 
 
 def _also(explanation: Explanation) -> str:

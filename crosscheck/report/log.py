@@ -61,6 +61,8 @@ def _lines(judgement: LogJudgement, allowed: Sequence[AllowedError]) -> Iterator
     bodies = judgement.compared  # names of the compared bodies
     compared = f"{len(bodies)} bodies" if len(bodies) > 1 else bodies[0]
     rows = f"{judgement.rows} {'rows' if judgement.rows > 1 else 'row'}"
+    if judgement.stride > 1:
+        rows += f" (1 of {judgement.stride} is compared)"
     texts = [f"{judgement.engine}: {rows}, {times[-1]:.4g} s, {compared}"]
     if judgement.points:
         texts.append(f"positions of {POINTS[judgement.points]}")
@@ -114,8 +116,17 @@ def _notes(judgement: LogJudgement) -> Iterator[str]:
             change = f"{percent(other.thinned.relative)} of the motion"
             advice = "log them at each step of the simulation, beginning with the first"
             yield f"inputs of every second row only change the reference by {change}: {advice}"
+    if (lack := judgement.lack) is not None:
+        names = first_names(lack.elements, MAX_NAMES)
+        after, before = percent(lack.after.relative), percent(lack.before.relative)
+        yield (
+            f"the log's simulation may lack {names}: against a reference without, the error is {after} of "
+            f"the motion instead of {before}"
+        )
     is_passive = judgement.scene and not (judgement.scene.control or judgement.held_inputs)
-    if is_passive and not judgement.has_inputs and judgement.band is Band.WRONG:
+    # motors may hold bodies as if they had no weight
+    is_unexplained = lack is None or lack.is_gravity
+    if is_passive and not judgement.has_inputs and judgement.band is Band.WRONG and is_unexplained:
         advice = "log columns such as JOINT.effort if motors drove the run"
         yield f"neither the model nor the log has forces of motors: the reference moves freely; {advice}"
     if judgement.held_inputs:

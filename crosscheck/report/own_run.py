@@ -28,7 +28,7 @@ from crosscheck.report.line_name import LineName
 from crosscheck.report.table import Cell, Lines, Rows
 from crosscheck.support.name_lists import first_names
 from crosscheck.support.units import SECONDS_AND_MS, quantity_text, significant
-from newton_euler.reading.file_run import OF_UNSTABLE_MODES, Event
+from newton_euler.reading.file_run import OF_UNSTABLE_MODES, Event, LoopNeed
 from newton_euler.reading.import_report import LIMITS
 from newton_euler.reading.small_motions import MovingBody
 
@@ -116,9 +116,7 @@ def _lines(
         yield LineName.NOTE.line(_only_in_run_text(judgement.only_in_run))
     if judgement.approximated:
         yield LineName.NOTE.line(_approximated_text(judgement.approximated))
-    for need in judgement.needs:
-        names = first_names(need.elements, most=MAX_ELEMENTS)
-        yield LineName.NOTE.line(f"needed in your loop, too: {names}; {need.remedy}")
+    yield from map(LineName.NOTE.line, needs_texts(judgement.needs))
     if judgement.unjudged_from is not None:
         yield LineName.NOTE.line(
             f"judged until {judgement.unjudged_from:.3g} s, as the run has too many time steps"
@@ -127,6 +125,12 @@ def _lines(
         reason = "as the duration of the scene is too few time steps"
         yield LineName.NOTE.line(f"judged until {judgement.extended_to:.3g} s, {reason}")
     yield from _measured_lines(judgement)
+
+
+def needs_texts(needs: Sequence[LoopNeed]) -> Iterator[str]:
+    """Yield what a user's own loop lacks unless the user adds it, with the remedies."""
+    for need in needs:
+        yield f"needed in your loop, too: {first_names(need.elements, most=MAX_ELEMENTS)}; {need.remedy}"
 
 
 def _measured_lines(judgement: Judgement) -> Iterator[str]:
@@ -140,6 +144,10 @@ def _measured_lines(judgement: Judgement) -> Iterator[str]:
         yield LineName.NOTE.line(f"{chaos}, and no run with other steps can match")
     if causes := _causes(judgement):
         yield LineName.CAUSE.line("; ".join(causes))
+        if judgement.has_separated:
+            yield LineName.continued(
+                "the error is about as large as the motion, so causes do not add up: judge a shorter duration"
+            )
         if judgement.errors_cancel:
             cancelling = "these errors partly cancel: the removal of one alone can make the run worse"
             yield LineName.continued(cancelling)

@@ -66,9 +66,6 @@ SAME_CODE = "as all engines call the same code"
 MAX_ACTING_LINES = 3
 """Largest number of lines on elements that act and are not simulated; one more line names the others."""
 
-IMPLICIT = ("Radau", "implicitfast")
-"""Implicit integrators, which engines choose for stiff scenes."""
-
 
 def report(result: EngineComparison) -> Report:
     """Make the report of a comparison: a full one, and a summary that the terminal shows."""
@@ -337,10 +334,15 @@ def notes(result: EngineComparison) -> Iterator[str]:
     yield from undetermined_lines(scene)
 
     # stiffness: why an engine chose an implicit integrator
-    runs = result.trajectories.items()
-    implicit = [name for name, run in runs if run.settings.get("integrator") in IMPLICIT]
+    implicit = {
+        engine.name: engine.integrators
+        for engine in result.engines
+        if engine.integrators
+        and engine.name in result.trajectories
+        and result.trajectories[engine.name].settings.get("integrator") == engine.integrators.implicit
+    }
     if implicit:
-        has_fixed_steps = any(each.explicit == "RK4" for each in result.engines if each.name in implicit)
+        has_fixed_steps = any(each.explicit == "RK4" for each in implicit.values())
         rate, steps = fastest_decay(scene), explicit_steps(scene)
         fixed = f", RK4 steps of {RK4_LIMIT / rate:.2g} s" if has_fixed_steps and rate else ""
         needed = f"DOP853 would need {steps:.0f} steps{fixed}"

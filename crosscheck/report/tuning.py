@@ -18,7 +18,14 @@ from crosscheck.own_run.allowed import AllowedError, ErrorKind, elements_text, i
 from crosscheck.own_run.errors import Band
 from crosscheck.own_run.tune import SettingsSearch, Tried
 from crosscheck.report.chart import Measure, log_chart
-from crosscheck.report.own_run import chaos_text, percent, sizes, stiffer_limits_text, unsimulated_text
+from crosscheck.report.own_run import (
+    chaos_text,
+    needs_texts,
+    percent,
+    sizes,
+    stiffer_limits_text,
+    unsimulated_text,
+)
 from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, number_columns
 from crosscheck.support.name_lists import first_names
 
@@ -171,6 +178,7 @@ def _notes(tuning: SettingsSearch) -> Iterator[str]:
         yield f"note: compared until then: {unsimulated_text(tuning.events)}"
     elif tuning.events:
         yield f"note: all runs are without {unsimulated_text(tuning.events)}"
+    yield from (f"note: {text}" for text in needs_texts(tuning.needs))
     if (found := tuning.found) is not None:
         yield from (f"note: {text}" for text in _warnings(tuning, found))
     if chaos := chaos_text(tuning.scale):

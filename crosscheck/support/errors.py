@@ -28,7 +28,9 @@ class CrosscheckError(Exception):
 
 def short_of_memory(error: BaseException | None) -> bool:
     """Return True if an error, or an error that caused it, reports a lack of memory or of threads."""
-    while error is not None:
+    seen = set[int]()  # causes may form a circle
+    while error is not None and id(error) not in seen:
+        seen.add(id(error))
         if isinstance(error, MemoryError) or getattr(error, "errno", None) in (errno.ENOMEM, errno.EAGAIN):
             return True
         if any(words in str(error) for words in NO_MEMORY):

@@ -72,7 +72,8 @@ class CheckedRun:
         complete: True if all engines completed the run, and each is compared with others by judged checks.
         agrees: True if the engines agree with each other, as in `crosscheck run`.
         verdict: verdict line of the crosscheck.
-        kept: comparisons of kept outputs with the sweep, see `_check_kept`.
+        kept: comparisons of kept outputs with the sweep: for each output and engine, the check closest to
+            failing.
         moves: True if the mechanism moves.
         untested: True if the motion tests no element of the scene, for example because it is too small.
         engines: names of the engines.

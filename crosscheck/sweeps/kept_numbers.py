@@ -87,7 +87,7 @@ class KeptNumber:
 
     @cached_property
     def quantiles(self) -> Array:
-        """Quantiles at `QUANTILE_LEVELS` over the successful runs; NaN if all runs failed."""
+        """Minimum, 5 %, median, 95 % and maximum (5,) over the successful runs; NaN if all runs failed."""
         known = self.values[np.isfinite(self.values)]
         return (
             np.quantile(known, list(QUANTILE_LEVELS.values()))

@@ -230,25 +230,32 @@ class Actuators:
         }
         return activation if is_constant.get(kind, False) else None
 
+    def _why_not_affine(self, actuator: int) -> str:
+        """Return why the force is not affine in length and rate at a constant activation; "" if it is."""
+        model = self._model
+        if model.actuator_plugin[actuator] >= 0:
+            return "a plugin computes its force"
+        if model.actuator_delay[actuator]:
+            return "its control is delayed"
+        gain, bias = GAIN(model.actuator_gaintype[actuator]), BIAS(model.actuator_biastype[actuator])
+        if gain not in (GAIN.mjGAIN_FIXED, GAIN.mjGAIN_AFFINE):
+            return f"its gain has the type {gain.name.removeprefix('mjGAIN_').lower()}"
+        if bias not in (BIAS.mjBIAS_NONE, BIAS.mjBIAS_AFFINE):
+            return f"its bias has the type {bias.name.removeprefix('mjBIAS_').lower()}"
+        return ""
+
     def _affine_force(self, actuator: int, element: str) -> Affine | None:
         """Return the force for the control at the start, as a function of the transmission's length and rate.
 
         If the force is not affine in length and rate, the actuator is reported as left out and the result is
         None.
         """
-        model = self._model
-        is_affine = (
-            model.actuator_plugin[actuator] < 0
-            and not model.actuator_delay[actuator]
-            and GAIN(model.actuator_gaintype[actuator]) in (GAIN.mjGAIN_FIXED, GAIN.mjGAIN_AFFINE)
-            and BIAS(model.actuator_biastype[actuator]) in (BIAS.mjBIAS_NONE, BIAS.mjBIAS_AFFINE)
-        )
-        activation = self._activation(actuator)
-        if not is_affine or activation is None:
-            self._report.left_out(
-                element,
-                "its activation changes at the start, or it has a delay, a plugin, or no affine gain or bias",
-            )
+        model, activation = self._model, self._activation(actuator)
+        if reason := self._why_not_affine(actuator):
+            self._report.left_out(element, reason)
+            return None
+        if activation is None:
+            self._report.left_out(element, "its activation changes from the start on")
             return None
         # coefficients of 1, l and dl/dt; a fixed gain has the first one only
         coefficients = model.actuator_gainprm[actuator][:3] * activation

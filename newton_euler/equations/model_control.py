@@ -5,8 +5,8 @@ Both laws use inverse dynamics of the controller's model
 control laws and without wind, because a controller cannot know the wind. Its parameters may differ from those
 of the scene. Computed torque computes the forces for the accelerations that the law commands. Gravity
 compensation computes the forces at rest for zero accelerations. `ModelControl` does this for the equations of
-this package, `EngineControl` and `servo_forces` for other engines, which have their own mass matrices and
-Jacobians. A key (joint, number) names a joint coordinate.
+this package, `EngineControl` for other engines, which have their own mass matrices and Jacobians
+(`newton_euler.equations.engine_solution.servo_forces`). A key (joint, number) names a joint coordinate.
 
 The equations of this package have two forms (`Formulation`): joint coordinates or the poses of all bodies.
 They may be evaluated over floats, or over symbolic scalars when they are traced for compilation.
@@ -25,12 +25,11 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from newton_euler.equations import dense
 from newton_euler.equations.coupling_equations import TreeCouplings
 from newton_euler.equations.formulation import Formulation, Servos
 from newton_euler.equations.parameter_names import element_of, places
 from newton_euler.equations.parameters import check_dynamic, checked, measuring, with_values
-from newton_euler.equations.redundancy import inherit_mobility, rows_left_out, with_zero_rows
+from newton_euler.equations.redundancy import inherit_mobility
 from newton_euler.equations.row_choice import (
     exchangeable_rows,
     in_use_alone,
@@ -38,13 +37,12 @@ from newton_euler.equations.row_choice import (
     rows_in_use,
 )
 from newton_euler.equations.sparse import solve_constrained
-from newton_euler.equations.system import System, at_time
+from newton_euler.equations.system import at_time
 from newton_euler.errors import MechanismError, SingularityError
 from newton_euler.model.control import PD, ComputedTorque, ControlLaw, DeclaredLaw
 from newton_euler.model.digital_control import Digital
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
-from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.variable import altered
 from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import Array, Scalar, Stack
@@ -344,48 +342,3 @@ class EngineControl:
                 found |= dict(zip(self._torque, forces.tolist(), strict=True))
             self._last = state, found
         return self._last[1]
-
-
-def servo_forces(
-    system: System,
-    tree: SpanningTree,
-    mass_and_force: tuple[Array, Array],
-    jacobian_and_gamma: tuple[Array, Array],
-    keys: Sequence[Key],
-    accelerations: Array,
-) -> Array:
-    """Compute the forces on joint coordinates for given accelerations of them, from an engine's matrices.
-
-    The accelerations are prescribed by additional constraints, whose Lagrange multipliers are the forces, N
-    or N m.
-
-    Args:
-        system: the engine's equations of motion.
-        tree: spanning tree whose coordinates the system has.
-        mass_and_force: M (nv, nv) and f (nv,) of M vdot = f + J^T lambda.
-        jacobian_and_gamma: J (k, nv) and gamma (k,) of J vdot = gamma.
-        keys: keys of the joint coordinates; none belongs to a joint that closes a loop.
-        accelerations: accelerations of these coordinates, m/s^2 or rad/s^2.
-
-    Raises:
-        SingularityError: in a state in which the coordinates do not determine the motion.
-    """
-    # rows of the additional constraints: one element of vdot each
-    rows = np.zeros((len(keys), system.nv))
-    places = [tree.place(*key) for key in keys]  # (index in q, index in v) of each coordinate
-    rows[np.arange(len(keys)), [place[1] for place in places if place]] = 1.0
-    units = [system.mechanism.size if system.mechanism.is_slide(*key) else 1.0 for key in keys]
-    # rows that are almost redundant are replaced by zeros
-    left_out = rows_left_out(system)
-    jacobian, gamma = (with_zero_rows(each, left_out) for each in jacobian_and_gamma)
-    try:
-        _, multipliers = dense.solve_constrained(
-            *mass_and_force,
-            np.concatenate([jacobian, rows]),
-            np.concatenate([gamma, accelerations]),
-            row_units=np.concatenate([system.phi_units, units]),
-            column_units=system.velocity_units,
-        )
-    except np.linalg.LinAlgError as error:
-        raise SingularityError(keys[0][0], "control laws cannot choose the accelerations there") from error
-    return np.asarray(multipliers[len(system.phi_units) :])

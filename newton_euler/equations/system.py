@@ -53,8 +53,7 @@ class Observation:
 class Evaluation(Observation):
     """Solution of the equations of motion at one state of a scene with b bodies, j joints and a control laws.
 
-    Vectors are in the world frame. Redundant constraints leave reactions non-unique, see
-    `newton_euler.equations.reactions`.
+    Vectors are in the world frame. If constraints are redundant, reactions are not unique.
 
     Attributes:
         linear_acceleration: (b, 3) m/s^2, of the centers of mass.

@@ -41,8 +41,7 @@ class Compound(Joint):
     The axes need not be perpendicular and need not meet. The axis of the first hinge passes through `point`,
     the axis of the last hinge through `point_on_second`; the links between the hinges have no mass. The
     coordinates are the displacements along the slides, which add up as vectors, then the angles of the
-    hinges. With three hinges the angles are singular where all axes lie in one plane (gimbal lock), see
-    `newton_euler.model.hinge_angles`.
+    hinges. With three hinges the angles are singular where all axes lie in one plane (gimbal lock).
 
     Attributes:
         slides: (n, 3) axes of the n slides, n at most 3, fixed in the first body, world at the initial pose.

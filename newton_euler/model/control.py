@@ -173,9 +173,10 @@ class PD(DeclaredLaw):
         MechanismError: naming the joint and the invalid value.
 
     Examples:
-        >>> law = PD("hinge", stiffness=10.0, damping=1.0, target=1.0)
-        >>> law.force(x=0.5, x_rate=0.0, time=0.0)  # N m towards the target
-        5.0
+        >>> first, second = (PD(slide, 200.0, 20.0, target=0.01) for slide in ("slide_12", "slide_13"))
+        >>> run = simulate(replace(load("tracker"), control=[first, second]))
+        >>> print(run.joint("slide_12").coordinates[-1].round(4))  # m
+        [0.01]
     """
 
     joint: str
@@ -234,10 +235,11 @@ class StateFeedback(DeclaredLaw):
         MechanismError: naming the joint and the invalid value.
 
     Examples:
-        >>> law = StateFeedback("rail", {"rail": (10.0, 2.0), "pole": (-50.0, -8.0)})
-        >>> readings = {("rail", 0): (0.1, 0.0), ("pole", 0): (0.02, 0.0)}
-        >>> law.towards(law.references(0.0), readings, 0.0)  # N
-        0.0
+        >>> first = StateFeedback("slide_12", {"slide_12": (200.0, 20.0)}, target=0.01)
+        >>> second = StateFeedback("slide_13", {"slide_13": (200.0, 20.0), "slide_12": (-100.0, 0.0)})
+        >>> run = simulate(replace(load("tracker"), control=[first, second]))
+        >>> print(*(run.joint(law.joint).coordinates[-1].round(4) for law in (first, second)))  # m
+        [0.01] [0.005]
     """
 
     joint: str
@@ -329,9 +331,12 @@ class ComputedTorque(DeclaredLaw):
         MechanismError: naming the joint and the invalid value.
 
     Examples:
-        >>> law = ComputedTorque("hinge", stiffness=100.0, damping=20.0, target=Sine(0.1, 2.0))
-        >>> float(law.command(law.references(0.0), {("hinge", 0): (0.0, 0.0)}))  # rad/s^2
-        4.0
+        >>> wave = Sine(0.003, 2.0)  # m, rad/s
+        >>> laws = [ComputedTorque(slide, 100.0, 20.0, target=wave) for slide in ("slide_12", "slide_13")]
+        >>> run = simulate(replace(load("tracker_gravity"), control=laws))
+        >>> error = run.joint("slide_12").coordinates[-1] - 0.003 * np.sin(2.0 * run.time[-1])
+        >>> print(bool(abs(error) < 1e-6))  # m, after 5 s
+        True
     """
 
     joint: str

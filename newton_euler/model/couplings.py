@@ -72,8 +72,12 @@ class Gear(JointCoupling):
         MechanismError: naming the gear and the invalid value.
 
     Examples:
-        >>> Gear("pair", "pinion", "wheel", ratio=-0.5).factors()
-        {('wheel', 0): 1.0, ('pinion', 0): 0.5}
+        >>> tracker = load("tracker")  # two slides; the gear moves the second half as far as the first
+        >>> pair = Gear("pair", "slide_12", "slide_13", ratio=0.5)
+        >>> bodies, joints = tracker.mechanism.bodies, tracker.mechanism.joints
+        >>> run = simulate(replace(tracker, mechanism=Mechanism(bodies, joints, couplings=[pair])))
+        >>> print(*(run.joint(name).coordinates[-1].round(4) for name in ("slide_12", "slide_13")))  # m
+        [0.0257] [0.0128]
     """
 
     name: str
@@ -133,9 +137,12 @@ class PolynomialCoupling(JointCoupling):
         MechanismError: naming the coupling and the invalid value.
 
     Examples:
-        >>> cam = PolynomialCoupling("cam", "shaft", "tappet", (0.0, 0.02, 0.0, -0.001))
-        >>> cam.factors()[("tappet", 0)], cam.powers()
-        (1.0, {('shaft', 0): (-0.02, -0.0, 0.001)})
+        >>> tracker = load("tracker")  # slide_13 = 20 / m times the square of slide_12
+        >>> cam = PolynomialCoupling("cam", "slide_12", "slide_13", (0.0, 20.0))
+        >>> bodies, joints = tracker.mechanism.bodies, tracker.mechanism.joints
+        >>> run = simulate(replace(tracker, mechanism=Mechanism(bodies, joints, couplings=[cam])))
+        >>> print(*(run.joint(name).coordinates[-1].round(4) for name in ("slide_12", "slide_13")))  # m
+        [0.0279] [0.0156]
     """
 
     name: str
@@ -208,9 +215,12 @@ class LinearCoupling(JointCoupling):
         MechanismError: naming the coupling and the invalid value.
 
     Examples:
-        >>> terms = ("left", 0, 1.0), ("right", 0, 1.0), ("case", 0, -2.0)
-        >>> len(LinearCoupling("differential", terms).factors())
-        3
+        >>> tracker = load("tracker")  # slide_12 + 2 slide_13 stays 0
+        >>> balance = LinearCoupling("balance", (("slide_12", 0, 1.0), ("slide_13", 0, 2.0)))
+        >>> bodies, joints = tracker.mechanism.bodies, tracker.mechanism.joints
+        >>> run = simulate(replace(tracker, mechanism=Mechanism(bodies, joints, couplings=[balance])))
+        >>> print(*(run.joint(name).coordinates[-1].round(4) for name in ("slide_12", "slide_13")))  # m
+        [0.0086] [-0.0043]
     """
 
     name: str

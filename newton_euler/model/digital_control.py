@@ -137,9 +137,11 @@ class Sampled(HeldLaw):
         MechanismError: naming the joint and the invalid value.
 
     Examples:
-        >>> law = Sampled("hinge", lambda time, x, x_rate: -2.0 * x[0], period=0.01)
-        >>> law.period
-        0.01
+        >>> first = Sampled("slide_12", lambda time, x, v: 50.0 * (0.01 - x[0]) - 5.0 * v[0], period=0.01)
+        >>> second = Sampled("slide_13", lambda time, x, v: -50.0 * x[1] - 5.0 * v[1], period=0.01)
+        >>> run = simulate(replace(load("tracker"), control=[first, second]))
+        >>> print(*(run.joint(law.joint).coordinates[-1].round(3) for law in (first, second)))  # m
+        [0.01] [0.]
     """
 
     joint: str
@@ -174,7 +176,7 @@ class Digital(HeldLaw):
     laws apply to them.
 
     Attributes:
-        law: the declared law.
+        law: the law that the computer executes: `PD`, `StateFeedback` or `ComputedTorque`.
         period: sampling period, s, at least 1e-6; the first sample is at time 0.
         delay: number of samples from reading to acting, at most 1,000,000.
         resolution: encoder resolution, m or rad; 0 for exact readings.
@@ -189,9 +191,11 @@ class Digital(HeldLaw):
         MechanismError: naming the joint and the invalid value.
 
     Examples:
-        >>> law = Digital(PD("hinge", 10.0, 1.0, target=1.0), period=0.01, force_limit=2.0)
-        >>> law.controller_of([law])(0.0, np.zeros(1), np.zeros(1))  # N m, of the 10 that the law asks for
-        2.0
+        >>> first, second = (PD(name, 50.0, 5.0, target=0.02) for name in ("slide_12", "slide_13"))
+        >>> laws = [Digital(law, period=0.01, force_limit=0.5) for law in (first, second)]
+        >>> run = simulate(replace(load("tracker"), control=laws))
+        >>> print(np.abs(np.asarray(run.actuator_force)).max())  # N; the laws ask for 1 N at the start
+        0.5
     """
 
     law: DeclaredLaw

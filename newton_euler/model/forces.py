@@ -83,8 +83,9 @@ class JointSpring(CoordinateForce, Spring):
         MechanismError: naming the joint and the invalid value.
 
     Examples:
-        >>> JointSpring("hinge", damping=0.1)  # viscous friction
-        JointSpring(joint='hinge', stiffness=0.0, damping=0.1, rest=0.0, coordinate=0)
+        >>> damped = replace(load("pendulum"), forces=[JointSpring("pivot", damping=0.5)])
+        >>> print(simulate(damped).joint("pivot").coordinates[-1].round(3))  # rad, nearly hangs down
+        [1.529]
     """
 
     joint: str
@@ -138,8 +139,10 @@ class BallSpring(OnBall, Spring):
         MechanismError: naming the joint and the invalid value.
 
     Examples:
-        >>> BallSpring("shoulder", stiffness=5.0, damping=0.1).stiffness
-        5.0
+        >>> spring = BallSpring("ball_67", stiffness=5.0, rest=[0.0, 0.1, 0.0])
+        >>> held = statics(replace(load("tracker"), forces=[spring]))
+        >>> print(held.actuator_force.round(2))  # N, of both slides, against the spring
+        [-18.08  -1.28]
     """
 
     joint: str
@@ -235,10 +238,11 @@ class PointSpring(OnBodies, Spring):
         MechanismError: naming the spring and the invalid value.
 
     Examples:
-        >>> ends = [0.0, 0.0, 1.0], [0.0, 0.0, 0.2]
-        >>> spring = PointSpring("cord", "ground", "rod", *ends, stiffness=100.0, rest_length=0.5)
-        >>> spring.stiffness
-        100.0
+        >>> ends = [-0.5, 0.5, 0.0], [-0.5, 0.0, 0.0]
+        >>> cord = PointSpring("cord", "ground", "dumbbell", *ends, stiffness=100.0, rest_length=0.5)
+        >>> run = simulate(replace(load("pendulum"), forces=[cord]))
+        >>> print(run.position[:, 1, 1].min().round(3))  # m, how far the dumbbell falls
+        -0.364
     """
 
     name: str
@@ -359,9 +363,10 @@ class Wrench(OnPoint):
         MechanismError: naming the wrench and the invalid value.
 
     Examples:
-        >>> wind = Wrench("wind", "rod", point=[0.0, 0.0, -1.0], force=[2.0, 0.0, 0.0])
-        >>> wind.frame
-        'world'
+        >>> lift = Wrench("lift", "dumbbell", point=[-0.5, 0.0, 0.0], force=[0.0, 19.62, 0.0])
+        >>> run = simulate(replace(load("pendulum"), forces=[lift]))
+        >>> print(abs(run.joint("pivot").coordinates).max())  # rad: the force carries the weight
+        0.0
     """
 
     name: str

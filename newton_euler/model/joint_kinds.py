@@ -49,7 +49,8 @@ pose."""
 class Spherical(Joint):
     """Ball joint, eq. (25): three equations, the joint points of both bodies coincide.
 
-    It has no coordinates, because three angles cannot describe every rotation without a singularity.
+    It has no coordinates, because three angles cannot describe every rotation without a singularity. An
+    initial state gives such a body its orientation and its angular velocity, see `State`.
 
     Examples:
         >>> Spherical("joint", "ground", "body", [0.0, 0.0, 0.0]).coordinate_kinds
@@ -249,8 +250,9 @@ class Planar(AxisJoint):
     """Planar joint: a plane face of one body slides on a plane face of the other; three equations.
 
     The coordinates are the displacements along two directions perpendicular to the axis, which are fixed in
-    the first body, then the angle about the axis. Formula (1) of the page "Balls, universal joints and free
-    bodies" of the reference defines both directions.
+    the first body, then the angle about the axis s. Let h be the coordinate axis (x, y or z) along which the
+    component of s has the smallest absolute value, the first of equal ones. The second direction is
+    w = s x h / |s x h|, the first is w x s.
 
     Attributes:
         axis: (3,) normal of both faces, world at the initial pose, of any nonzero length.
@@ -391,7 +393,7 @@ class Free(Joint):
     """Free joint: all relative motions and no equation. It marks a body that floats on purpose.
 
     The coordinates are the displacements along x, y and z of the world at the initial pose, fixed in the
-    first body.
+    first body. An initial state gives the body its orientation and its angular velocity, see `State`.
 
     Examples:
         >>> Free("joint", "ground", "body", [0.0, 0.0, 0.0]).coordinate_kinds

@@ -118,9 +118,10 @@ class ParallelHinges(AxisJoint):
 
     The first axis passes through `point`, the second axis through `point_on_second`. The joint has two
     coordinates: the angle of the link relative to the first body, and the angle of the second body relative
-    to the link.
+    to the link. Use it for two hinges in a row whose axes are parallel: `Compound` needs axes that are not.
 
     Attributes:
+        axis: (3,) direction of both axes, world at the initial pose, of any length.
         offset: (3,) m from the first axis to the second, world at the initial pose. Its part perpendicular to
             the axis is at least 1 micrometer long. `point_on_second` is `point` + `offset` unless it is
             given, as in a joint of which one point was displaced alone.

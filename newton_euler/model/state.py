@@ -23,7 +23,7 @@ from newton_euler.scalars import Array, Floats, Scalar, stacked_rows
 
 @description  # a frozen dataclass, compared by identity
 class State:
-    """Poses and velocities of all b bodies, ground first; world frame, SI. Floats, except after `stacked`.
+    """Poses and velocities of all b bodies, ground first; world frame, SI.
 
     Attributes:
         position: (b, 3) centers of mass, m.
@@ -38,8 +38,9 @@ class State:
             motions; without these the angle is within half a revolution.
 
     Examples:
-        >>> State.initial(load("pendulum").mechanism).position.shape
-        (2, 3)
+        >>> still = State.initial(load("pendulum").mechanism)
+        >>> print(still.position[1] + 0.0)  # m, of the dumbbell
+        [-0.5  0.   0. ]
     """
 
     position: Floats
@@ -81,7 +82,11 @@ class State:
         return whole_revolutions(self.angles[key] - x) if key in self.angles else 0.0
 
     def frames(self) -> list[Frame]:
-        """Return the pose and velocity of each body as a list of b `Frame` records."""
+        """Return b records, one for each body.
+
+        Each has `position` (3,), `rotation` (3, 3) from the body frame to the world, `velocity` (3,) and
+        `angular_velocity` (3,).
+        """
         return [Frame(r, rotation(p), v, w) for r, p, v, w in zip(*self.arrays, strict=True)]
 
 

@@ -176,13 +176,11 @@ class Trajectory:
             contain it.
 
     Examples:
-        >>> run = simulate(load("pendulum"))
+        >>> run: Trajectory = simulate(load("pendulum"))
         >>> run
         <Trajectory of newton_euler: 1001 outputs to 10 s, bodies: 2, joints: 1>
-        >>> def shape(run: Trajectory) -> tuple[int, ...]:
-        ...     return run.position.shape
-        >>> shape(run)
-        (1001, 2, 3)
+        >>> print(run.position[-1, run.body_names.index("dumbbell")].round(3))  # m, at the end
+        [-0.138 -0.481  0.   ]
     """
 
     engine: str
@@ -335,7 +333,9 @@ class Trajectory:
 
     @checked
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the arrays to an .npz file, which appears complete or not at all.
+        """Write the arrays to an .npz file, which `numpy.load` reads.
+
+        The file appears complete or not at all.
 
         Args:
             path: path of the file.
@@ -438,7 +438,7 @@ class StoppedError(NewtonEulerError):
 
 
 class IntegrationError(StoppedError):
-    """A run that the integrator could not continue."""
+    """A run that the integrator could not continue; `time`, `reason` and `partial` as of `StoppedError`."""
 
     def __init__(self, time: float, reason: str) -> None:
         super().__init__(time, reason, f"integration stopped at t = {time:.6g} s: {reason}")

@@ -50,9 +50,8 @@ class WindLoad(OnPoint):
 
     The force acts along the plate's normal: 1/2 rho A |w|^2 C_N, where w is the velocity of the wind relative
     to the plate's center, A the area, and C_N a coefficient of the angle of attack and of the plate's aspect
-    ratio. A square plate perpendicular to the wind has C_N = 1.17; its coefficient is largest near 32
-    degrees, 1.35. The page "Wind" of the reference (docs/reference/python/wind.md) has the formula, its
-    validity and its sources.
+    ratio. A square plate perpendicular to the wind has C_N = 1.17; its coefficient is largest near 30
+    degrees, 1.35. The documentation has the formula of C_N, its validity and its sources.
 
     Attributes:
         name: unique among the forces of a scene; letters, digits, `_`, `.` and `-`.
@@ -70,11 +69,10 @@ class WindLoad(OnPoint):
 
     Examples:
         >>> center, x, y = [0.0, 0.0, 3.0], [2.0, 0.0, 0.0], [0.0, 1.0, 0.0]
-        >>> across = {"direction": [0.0, 0.0, -1.0], "speed": 20.0}
-        >>> wind = WindLoad("wind", "panel", center, first_side=x, second_side=y, **across)
-        >>> pressure = 0.5 * wind.air_density * wind.speed**2
-        >>> f"area {wind.area:.0f} m^2, dynamic pressure {pressure:.0f} Pa"
-        'area 2 m^2, dynamic pressure 245 Pa'
+        >>> down, v = [0.0, 0.0, -1.0], 20.0
+        >>> wind = WindLoad("wind", "panel", center, first_side=x, second_side=y, direction=down, speed=v)
+        >>> print(f"area {wind.area:.0f} m^2, dynamic pressure {0.5 * wind.air_density * v**2:.0f} Pa")
+        area 2 m^2, dynamic pressure 245 Pa
     """
 
     name: str

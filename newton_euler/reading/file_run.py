@@ -207,15 +207,13 @@ class FileSimulation(ABC, Generic[SettingsT]):
             reduced: True to switch off all elements that the imported scene does not have.
         """
 
+    @abstractmethod
     def run_inputs(self, reduced: bool) -> Mapping[str, Any]:
         """Return start and controls, as numbers for JSON, so that the engine alone can repeat the run.
-
-        The result is empty for an engine without this record.
 
         Args:
             reduced: whether elements that the imported scene does not have are switched off.
         """
-        return {}
 
     @abstractmethod
     def causes(self) -> Iterator[Cause[SettingsT]]:

@@ -53,7 +53,7 @@ class ImportedElement:
         fate: "exactly" if imported exactly; "approximated" if a similar force is simulated; "left out" if not
             simulated; "inactive" if not simulated and a run has shown that the element would not have acted.
         how: the element's counterpart in the scene, or the reason why the element is left out.
-        became: kind of the counterpart in the scene: `CONTROL`, `FORCE`, `ROTOR`, or "" for anything else.
+        became: kind of the counterpart in the scene: "control law", "force", "rotor", or "" for others.
         topic: the property of the element that the entry is about, such as "limits"; "" for all properties.
         moves_nothing: True if the element, as it is in the file, cannot move anything, such as a camera.
         seen: observation in a run, such as "passed from 0.3 s on"; "" before a run.
@@ -161,18 +161,18 @@ class ImportReport:
         entries: entries in the order of reading.
         findings: likely mistakes in the file.
         start: lines about the initial pose and velocities of the scene.
-        references: pairs of a reference model and the scene to verify against the model, see
-            `newton_euler.reading.verify`. The first pair has the scene that the reader returns; other scenes
-            are read only for verification.
-        watches: tests that find out whether the element of an entry acts in a run, by index of the entry.
-        approximated_limits: limits of joint coordinates that the scene has as stops. Excitation respects them
-            like the limits that are not simulated.
-        unsettled: indices of the entries that only a run with more outputs can judge.
-        simulation: simulation of the file in its own engine, with its own or usual settings; None before the
-            reader has one.
         moved: change of the initial pose that was needed to close loops; None if the file has no loops.
         changed_velocities: change of the start velocities; None if the file has no velocities.
+        simulation: simulation of the file in its own engine, with its own or usual settings; None before the
+            reader has one.
         names: joints, body frames and actuators of the file, by their names in the file.
+        references: for comparisons: pairs of a reference model and the scene to verify against the model. The
+            first pair has the scene that the reader returns; other scenes are read only for verification.
+        watches: for comparisons: tests that find out whether the element of an entry acts in a run, by index
+            of the entry.
+        approximated_limits: for comparisons: limits of joint coordinates that the scene has as stops.
+            Excitation respects them like the limits that are not simulated.
+        unsettled: for comparisons: indices of the entries that only a run with more outputs can judge.
     """
 
     def __init__(self) -> None:

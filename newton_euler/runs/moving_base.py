@@ -72,6 +72,9 @@ def on_moving_base(
         joint: name of the joint between world and base, with a coordinate for each given motion: slides in
             the order surge, sway, heave, then hinges in the order yaw, pitch, roll.
 
+    Returns:
+        The scene on the base, with a body more and a joint more.
+
     Raises:
         MechanismError: for an unknown motion, a name in use, or a floating base without a mass.
 
@@ -218,6 +221,12 @@ MAX_PITCH = np.radians(80.0)
 def base_motion_from_csv(path: str | os.PathLike[str]) -> dict[str, Spline]:
     """Read poses of a base over time, for `on_moving_base`.
 
+    A file with a heave and a roll begins like this:
+
+        time,z,roll
+        0.0,0.000,0.000
+        0.1,0.012,0.010
+
     The first line names the columns in any order: `time`, s; any of `x`, `y`, `z`, m, for surge, sway and
     heave; any of `roll`, `pitch`, `yaw`, rad, or a quaternion `qw`, `qx`, `qy`, `qz`, which is converted to
     these angles. Time 0 of the motion is the first row. Angles continue through full revolutions.
@@ -226,17 +235,24 @@ def base_motion_from_csv(path: str | os.PathLike[str]) -> dict[str, Spline]:
     every T / 20, the relative error is 1e-7 of the motion and 1.4e-5 of the acceleration; near the first and
     the last row 1e-5 and 5e-3. The second derivative amplifies the noise of the poses.
 
+    Args:
+        path: path of the CSV file.
+
+    Returns:
+        A function for each column but the time, by `surge`, `sway`, `heave`, `roll`, `pitch` or `yaw`.
+
     Raises:
         SourceError: naming the file and the line (the first line is 1): missing cells, cells without a
             number, times that do not ascend or leave gaps, quaternions without norm 1, a pitch beyond 80
             degrees, too few rows, and unknown columns.
 
     Examples:
-        >>> rows = [f"{t / 10}, {np.sin(t / 10)}" for t in range(100)]
-        >>> _ = open("boat.csv", "w").write("\\n".join(["time, roll", *rows]))
-        >>> motions = base_motion_from_csv("boat.csv")
-        >>> print(f"{motions['roll'].value(1.25):.6f}")
-        0.948985
+        >>> time = np.arange(0.0, 10.05, 0.1)
+        >>> rows = np.column_stack([time, 0.1 * np.sin(time)])
+        >>> np.savetxt("boat.csv", rows, delimiter=",", header="time,roll", comments="")
+        >>> boat = on_moving_base(load("pendulum"), base_motion_from_csv("boat.csv"))
+        >>> print(simulate(boat).joint("base_motion").coordinates[125].round(4))  # rad, 0.1 sin 1.25
+        [0.0949]
     """
     table = _read(path_text(path), path)
     time = table.columns["time"]

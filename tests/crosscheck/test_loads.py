@@ -11,6 +11,7 @@ import pytest
 from command_line import csv_rows, run
 from plate_coefficients import blended
 
+from crosscheck.compare import singularity
 from crosscheck.design.load_plots import load_figure
 from crosscheck.design.load_report import negligible_force
 from crosscheck.design.loads import coarse_peak
@@ -228,9 +229,21 @@ def test_a_file_at_rest_has_one_case(capsys, tmp_path):
     ],
 )
 def test_loads_that_are_not_determined_are_told(capsys, tmp_path, scene, told):
+    """The four-bar lies flat at 0.71 s, the Bricard mechanism meets no singular configuration."""
     _, out, _ = run(capsys, "loads", scene, "--output", tmp_path)
     assert f"reactions not unique: {told}" in " ".join(out.split())
+    assert ("passes a singular configuration at 0.71" in out) == (scene == "four_bar")
+    assert list(json.loads((tmp_path / "loads.json").read_text())["singular"]) == (
+        ["run"] if scene == "four_bar" else []
+    )
     assert "stiffness decides how these joints share loads" in out
+
+
+def test_a_search_for_singular_configurations_that_fails_is_a_note(capsys, monkeypatch, tmp_path):
+    monkeypatch.setattr(singularity, "MAX_JACOBIAN_ELEMENTS", 1)
+    status, out, _ = run(capsys, "loads", EXAMPLE, "--output", tmp_path)
+    assert status == 0
+    assert "searching singular configurations: left out, as " in " ".join(out.split())
 
 
 def test_elements_that_act_and_are_not_simulated_are_named(capsys, tmp_path):

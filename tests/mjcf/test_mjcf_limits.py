@@ -148,13 +148,6 @@ def test_what_is_left_out_explains_the_difference(text: str, entry: str, tmp_pat
     assert verified(found)
 
 
-def test_a_delayed_actuator_is_left_out(tmp_path: Path) -> None:
-    motor = '<actuator><motor joint="p" delay="0.01" nsample="9"/></actuator>'
-    found = reading(tmp_path, model(PAIR, motor + '<keyframe><key ctrl="3"/></keyframe>'))
-    assert not found.scene.control
-    assert [e for e in found.report.of("left out") if e.how.startswith("its activation changes at the start")]
-
-
 def test_what_no_reading_covers_is_refused(tmp_path: Path) -> None:
     """Gravity compensation that counts as an actuator's, in a file that disables actuators."""
     text = PAIR.replace('name="p"', 'name="p" actuatorgravcomp="true"').replace('"one"', '"one" gravcomp="1"')

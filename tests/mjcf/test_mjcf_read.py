@@ -127,7 +127,7 @@ def test_what_is_left_out(tmp_path: Path) -> None:
         "joint 'p': left out: its limits",
         "joint 'p': left out: its dry friction 0.2",
         "tendon 'sum': left out: its stiffness 2",
-        "actuator 'pull': left out: its activation changes",
+        "actuator 'pull': left out: its gain has the type muscle",
         "2 geoms that can touch: left out",
         "1 sensors: left out",
     ):
@@ -430,3 +430,23 @@ def test_a_force_through_the_axis_of_a_hinge_is_verified(tmp_path):
     )
     (wrench,) = read(str(path), key="on").scene.forces
     np.testing.assert_allclose(wrench.force, [1.0, 0.0, 0.0], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("actuator", "reason"),
+    [
+        ('<motor joint="p" delay="0.01" nsample="9"/>', "its control is delayed"),
+        ('<muscle joint="p" lengthrange="0 1"/>', "its gain has the type muscle"),
+        (
+            '<general joint="p" biastype="muscle" biasprm="0.75 1.05 -1 200 0.5 1.6 1.5 1.3 1.2" '
+            'lengthrange="0 1"/>',
+            "its bias has the type muscle",
+        ),
+        ('<intvelocity joint="p" kp="1" actrange="-1 1"/>', "its activation changes from the start on"),
+    ],
+)
+def test_why_an_actuator_is_left_out(tmp_path: Path, actuator: str, reason: str) -> None:
+    text = model(PAIR, f'<actuator>{actuator}</actuator><keyframe><key ctrl="1"/></keyframe>')
+    found = reading(tmp_path, text)
+    assert reason in [each.how for each in found.report.of("left out")]
+    assert not found.scene.control

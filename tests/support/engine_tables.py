@@ -91,7 +91,12 @@ def _error(found: Mapping[str, Any], engine: Engine) -> str:
     run = found["engines"].get(engine.name)
     if run is None or run.get("wall_time") is None:
         return "stopped"
-    return "" if run.get("error") is None else f"{run['error']:.0e}".replace("e-0", "e-")
+    return "" if run.get("error") is None else _one_digit(run["error"])
+
+
+def _one_digit(error: float) -> str:
+    """An error with one digit, such as 3e-7."""
+    return f"{error:.0e}".replace("e-0", "e-")
 
 
 def references(folder: Path, engines: Iterable[Engine]) -> list[str]:
@@ -113,7 +118,7 @@ def references(folder: Path, engines: Iterable[Engine]) -> list[str]:
             for engine in engines
         ]
         count = max(len(each) for each in errors)
-        rows.append([name, str(count), *(f"{max(each):.0e}" if each else "" for each in errors)])
+        rows.append([name, str(count), *(_one_digit(max(each)) if each else "" for each in errors)])
     columns: list[Column] = [*text_columns("scene"), *number_columns("values")]
     columns += number_columns(*(engine.label or engine.name for engine in engines))
     return list(markdown_table(Table("", columns, rows)))
@@ -127,7 +132,7 @@ def times(folder: Path, engines: Iterable[Engine]) -> list[str]:
         found = json.loads(path.read_text())
         uncertainty = found["reference"]["uncertainty"]
         for error in ERRORS:
-            row = [found["scene"], f"{error:.0e}".replace("e-0", "e-")]
+            row = [found["scene"], _one_digit(error)]
             for engine in engines:
                 accurate = [
                     1e3 * median(each["times"])

@@ -29,11 +29,19 @@ BEGIN, END = "<!-- {}: begin -->\n", "<!-- {}: end -->"
 
 
 class Probe(NamedTuple):
-    """An element, and the places of a file that have it."""
+    """An element, and the places of a file that have it.
+
+    Attributes:
+        element: name in the table.
+        places: text by place of the small file.
+        options: options of the reader.
+        about: regular expression of the reported entries that are about the element; all if empty.
+    """
 
     element: str
     places: dict[str, str]
     options: Mapping[str, str] = MappingProxyType({})
+    about: str = ""
 
 
 MJCF = """<mujoco><option timestep="0.002" {option}>{flag}</option>
@@ -89,6 +97,7 @@ def table(name: str) -> str:
                     yield [probe.element, "refused", shown(re.sub(r"^.*?: line \d+: ", "", str(error)))]
                     continue
                 new = [entry for key, entry in found.items() if key not in without]
+                new = [entry for entry in new if re.search(probe.about, entry.how)]
                 result = fate(new)
                 # what the element needs, such as the limits beside a speed, tells nothing about the element
                 about = [entry for entry in new if fate([entry]) == result]

@@ -19,6 +19,7 @@ from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.runs.assemble import initial_state
+from urdf import benchmark_kernels
 from urdf.benchmark_kernels import equations_of
 
 
@@ -121,3 +122,12 @@ def test_a_linkage_that_locks_is_given_up_soon(locking):
     """Not only when steps are as short as a double can hold, a thousand of them later."""
     with pytest.raises(IntegrationError, match=r"steps have become too small; .*fastest at joint 'motor'"):
         urdf.simulate(locking, integrator="Radau", rtol=1e-8, atol=1e-10)
+
+
+def test_lsoda_reports_the_time_that_it_reached(monkeypatch):
+    """SciPy leaves the times of outputs after the failure undefined."""
+    monkeypatch.setattr(benchmark_kernels, "MAX_LSODA_STEPS", 3)
+    scene = load("pendulum")
+    with pytest.raises(IntegrationError) as caught:
+        benchmark_kernels.lsoda(equations_of(scene, 0.0, lcaba=None), rtol=1e-12, atol=1e-14)
+    assert 0.0 < caught.value.time < scene.times[1]

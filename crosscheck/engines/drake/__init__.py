@@ -15,7 +15,7 @@ from crosscheck.engines.drake.equations import DrakeSystem
 from crosscheck.engines.drake.plant import NAME
 from crosscheck.engines.drake.simulate import simulate
 from crosscheck.engines.drake.solvers import simulate_with
-from crosscheck.engines.engine import NO_SETTINGS, Engine, FixedSteps, Settings
+from crosscheck.engines.engine import NO_SETTINGS, Engine, FixedSteps, Integrators, Settings
 from crosscheck.engines.stress import StressSettings
 from newton_euler.equations.system import System
 from newton_euler.model.scene import Scene
@@ -68,7 +68,7 @@ ENGINE = Engine(
     refined_in_full=partial(refined_python_run, simulate, in_full=True),
     # Python calls Drake some ten times per evaluation
     fixed_steps=FixedSteps("RK4", lambda step: {"integrator": "RK4", "step": step}, steps=10),
-    at_tolerance=lambda rtol: {"rtol": rtol, "atol": 0.01 * rtol},
+    integrators=Integrators("DOP853", "Radau"),
     with_moved_anchor=_with_moved_anchor,
     stress_settings=_stress_settings,
     benchmarks=_benchmarks,

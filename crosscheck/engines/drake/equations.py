@@ -34,13 +34,12 @@ from crosscheck.engines.drake.plant import NAME, build
 from crosscheck.engines.drake.readings import joint_geometry, mass_properties
 from newton_euler.equations.articulated import moved_wrench
 from newton_euler.equations.coupling_equations import TreeCouplings
-from newton_euler.equations.dense import solve_constrained
 from newton_euler.equations.drives import drive_wrenches, joint_points
+from newton_euler.equations.engine_solution import Redundancy, servo_forces, solve_rigidly, tree_rows
 from newton_euler.equations.load_friction import EngineFriction, HeldFriction
-from newton_euler.equations.model_control import EngineControl, roles, servo_forces
-from newton_euler.equations.redundancy import constraint_rank, rows_left_out, with_zero_rows
+from newton_euler.equations.model_control import EngineControl, roles
 from newton_euler.equations.system import Energies, Evaluation, MassProperties, Observation
-from newton_euler.errors import SingularityError, check_choice
+from newton_euler.errors import check_choice
 from newton_euler.model.constraints import Frame
 from newton_euler.model.euler_parameters import from_rotation, rotation
 from newton_euler.model.joint import Key
@@ -138,7 +137,7 @@ class DrakeSystem:
         self._control = EngineControl(scene, DrakeSystem) if roles(scene) else None
         self._friction = EngineFriction(scene, DrakeSystem)
         self.held_friction: HeldFriction | None = None
-        self._rows: tuple[list[int], int] | None = None
+        self._redundancy: Redundancy | None = None
         self._latest_forces: tuple[Any, TreeForces] | None = None
         self._latest_solution: tuple[Any, Solution] | None = None
 
@@ -309,15 +308,10 @@ class DrakeSystem:
         """Solve for accelerations and multipliers; those of the last state are kept."""
         key = self._key(q, v)
         if self._latest_solution is None or self._latest_solution[0] != key:
-            if self._rows is None:
-                self._rows = rows_left_out(self), constraint_rank(self)
-            unused, rank = self._rows
-            mass, force = self.mass_and_force(q, v)
-            rows = with_zero_rows(self._jacobian(q), unused), with_zero_rows(self._gamma(q, v), unused)
-            try:
-                found = solve_constrained(mass, force, *rows, self.phi_units, self.velocity_units, rank)
-            except np.linalg.LinAlgError as error:
-                raise SingularityError(self.mechanism.joint_names[0], f"Drake: {error}") from error
+            if self._redundancy is None:
+                self._redundancy = Redundancy.of(self)
+            mass_and_force, rows = self.mass_and_force(q, v), (self._jacobian(q), self._gamma(q, v))
+            found = solve_rigidly(self, self._redundancy, mass_and_force, rows)
             self._latest_solution = key, Solution(*found)
         return self._latest_solution[1]
 
@@ -325,7 +319,7 @@ class DrakeSystem:
         """Return the forces on joint coordinates, N or N m, that cause given accelerations of them."""
         mass_and_force = self.mass_and_force(q, v)
         rows = self._jacobian(q), self._gamma(q, v)
-        return servo_forces(self, self.tree, mass_and_force, rows, keys, accelerations)
+        return servo_forces(self, mass_and_force, rows, keys, (tree_rows(self.tree, keys), accelerations))
 
     # Results for the bodies and joints of the scene
 

@@ -52,8 +52,7 @@ class PlacedPlant:
         try:
             yield
         except RuntimeError as error:
-            joint = self.built.welded.mechanism.joint_names[0]
-            raise SingularityError(joint, f"Drake: {str(error).splitlines()[0]}") from error
+            raise SingularityError(None, f"Drake: {str(error).splitlines()[0]}") from error
 
     # The state
 
@@ -69,7 +68,7 @@ class PlacedPlant:
         positions, to_drake = self.positions(q)
         velocities = to_drake @ v
         if not (np.isfinite(positions).all() and np.isfinite(velocities).all()):
-            raise SingularityError(self.built.welded.mechanism.joint_names[0], "the state is not finite")
+            raise SingularityError(None, "the state is not finite")
         self.plant.SetPositions(self.context, positions)
         self.plant.SetVelocities(self.context, velocities)
         self._at, self._to_drake = state, to_drake

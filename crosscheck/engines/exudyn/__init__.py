@@ -14,13 +14,14 @@ from crosscheck.engines.benchmarks import Benchmarks
 from crosscheck.engines.engine import NO_SETTINGS, Engine, FixedSteps, Settings, without_forces
 from crosscheck.engines.exudyn.equations import ExudynSystem
 from crosscheck.engines.exudyn.limits import limits
+from crosscheck.engines.exudyn.run import StepError
 from crosscheck.engines.exudyn.simulate import MAX_STEP, simulate
 from crosscheck.engines.steps import halve_until_accurate
 from crosscheck.engines.stress import StressSettings
 from newton_euler.equations.model_control import roles
 from newton_euler.equations.system import System
 from newton_euler.model.scene import Scene
-from newton_euler.model.trajectory import StoppedError, Trajectory
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
 MODEL_LAW_STEP = 5e-3
@@ -31,7 +32,8 @@ MIN_STEPS = 500
 """Smallest number of steps of a default run, for short runs of fast machines."""
 
 MAX_HALVINGS = 4
-"""Largest number of halvings of the first step if runs stop because Newton's method does not converge."""
+"""Largest number of halvings of the first step if runs stop within a step, for example because Newton's
+method does not converge."""
 
 MAX_STEPS = 50_000
 """Largest number of steps of a default run, which take half a minute."""
@@ -42,15 +44,17 @@ def _run(scene: Scene) -> Trajectory:
     """Simulate a scene with generalized-alpha.
 
     The first step is `MAX_STEP` or `MODEL_LAW_STEP`, or shorter for at least `MIN_STEPS` steps. The step is
-    halved while the run stops, and while it is far from newton_euler's run and halving changes it.
+    halved while the run stops within a step, and while it is far from newton_euler's run and halving changes
+    it.
 
     Raises:
-        IntegrationError: if runs with all steps stop; the error is that of the shortest step.
+        StepError: if runs with all steps stop within a step; the error is that of the shortest step.
+        IntegrationError: if a run stops for another reason, such as a controller that fails.
     """
     step = min(MODEL_LAW_STEP if roles(scene) else MAX_STEP, scene.duration / MIN_STEPS)
     at_step = partial(_at_step, scene)
     for halvings in range(MAX_HALVINGS):
-        with suppress(StoppedError):
+        with suppress(StepError):
             chosen = step * 0.5**halvings
             return halve_until_accurate(
                 scene, at_step(chosen), expected_run(scene), chosen, MAX_STEPS, at_step

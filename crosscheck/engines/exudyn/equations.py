@@ -21,22 +21,21 @@ from typing import Any
 import exudyn as exu
 import numpy as np
 
+from crosscheck.engines.exudyn.calls import exudyn_calls
 from crosscheck.engines.exudyn.coordinates import NODAL
 from crosscheck.engines.exudyn.forces import AppliedForces, applied_forces, motions_of
 from crosscheck.engines.exudyn.limits import limits
 from crosscheck.engines.exudyn.model import build
 from crosscheck.engines.exudyn.model_laws import ModelLaws
-from crosscheck.engines.exudyn.readings import joint_geometry, mass_properties
+from crosscheck.engines.exudyn.readings import joint_geometry, mass_properties, weights
 from crosscheck.engines.limits import require_expressed
 from newton_euler.equations.articulated import moved_wrench
 from newton_euler.equations.coupling_equations import residuals
 from newton_euler.equations.couplings import counted_angles, couplings
-from newton_euler.equations.dense import solve_constrained
 from newton_euler.equations.drives import joint_points
-from newton_euler.equations.redundancy import constraint_rank, rows_left_out, with_zero_rows
+from newton_euler.equations.engine_solution import Redundancy, solve_rigidly
 from newton_euler.equations.revolutions import revolutions
 from newton_euler.equations.system import Energies, Evaluation, MassProperties, Observation
-from newton_euler.errors import SingularityError
 from newton_euler.model.constraints import Frame
 from newton_euler.model.euler_parameters import (
     from_rotation,
@@ -92,14 +91,16 @@ class ExudynSystem:
         """
         require_expressed(self.name, limits(scene))
         self.scene, self.mechanism, self.time = scene, scene.mechanism, 0.0
-        self.model = build(scene, left_out, shifts, divided)
+        with exudyn_calls():
+            self.model = build(scene, left_out, shifts, divided)
         settings = exu.SimulationSettings()
         settings.solution.file.write = False
         settings.timeIntegration.verboseMode = 0
         # the matrices do not need them, and redundant constraints make their equations singular
         settings.timeIntegration.generalizedAlpha.computeInitialAccelerations = False
         self.solver: Any = exu.MainSolverImplicitSecondOrder()
-        self.solver.InitializeSolver(self.model.mbs, settings)
+        with exudyn_calls():
+            self.solver.InitializeSolver(self.model.mbs, settings)
         size, self.angles = self.mechanism.size, counted_angles(scene)
         self.count, self.rotors = len(self.mechanism.bodies) - 1, len(scene.armatures)
         self.nodal_size = NODAL * self.count + self.rotors
@@ -115,7 +116,7 @@ class ExudynSystem:
         self.reference = self.model.reference
         self.row_numbers = [row.equation for row in self.model.rows]
         self._couplings = couplings(scene)
-        self._unused: list[int] | None = None
+        self._redundancy: Redundancy | None = None
         self.model.wrenches = lambda time: self._applied(time).on_bodies
         self.model.given = lambda time: self._applied(time).given
         self._laws = ModelLaws(scene, ExudynSystem)
@@ -153,14 +154,16 @@ class ExudynSystem:
         size = self.nodal_size
         total = size + self.solver.GetAEsize()
         self.solver.SetSystemJacobian(np.zeros((total, total)))  # the call below adds to it
-        self.solver.ComputeJacobianAE(
-            self.model.mbs, scalarFactor_ODE2=1.0, scalarFactor_ODE2_t=0.0, velocityLevel=False
-        )
+        with exudyn_calls():
+            self.solver.ComputeJacobianAE(
+                self.model.mbs, scalarFactor_ODE2=1.0, scalarFactor_ODE2_t=0.0, velocityLevel=False
+            )
         return np.array(self.solver.GetSystemJacobian())[size:, :size][self.row_numbers]
 
     def _mass_matrix(self) -> Array:
         """Return Exudyn's mass matrix of its nodal coordinates at the present state."""
-        self.solver.ComputeMassMatrix(self.model.mbs)
+        with exudyn_calls():
+            self.solver.ComputeMassMatrix(self.model.mbs)
         return np.array(self.solver.GetSystemMassMatrix())[: self.nodal_size, : self.nodal_size]
 
     def _applied(self, time: float) -> AppliedForces:
@@ -272,7 +275,8 @@ class ExudynSystem:
     def phi(self, q: Array) -> Array:
         """Return the residuals (k,) of joints, couplings and rotors."""
         self.place(q, np.zeros(self.nv))
-        self.solver.ComputeAlgebraicEquations(self.model.mbs)
+        with exudyn_calls():
+            self.solver.ComputeAlgebraicEquations(self.model.mbs)
         return np.array(self.solver.GetSystemResidual())[self.nodal_size :][self.row_numbers]
 
     def _of_couplings(self, values: list[float]) -> Array:
@@ -309,7 +313,8 @@ class ExudynSystem:
         """Return M (nv, nv) and f (nv,)."""
         self.place(q, v)
         to_rates = self.nodal_rates(q)
-        self.solver.ComputeODE2RHS(self.model.mbs)
+        with exudyn_calls():
+            self.solver.ComputeODE2RHS(self.model.mbs)
         force = to_rates.T @ np.array(self.solver.GetSystemResidual())[: self.nodal_size]
         return to_rates.T @ self._mass_matrix() @ to_rates, force
 
@@ -323,22 +328,10 @@ class ExudynSystem:
 
     def solve(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return dv/dt (nv,) and multipliers (k,)."""
-        if self._unused is None:
-            self._unused, self._rank = rows_left_out(self), constraint_rank(self)
-        mass, force = self.mass_and_force(q, v)
-        jacobian, gamma = self.phi_jacobian(q), self.gamma(q, v)
-        try:
-            return solve_constrained(
-                mass,
-                force,
-                with_zero_rows(jacobian, self._unused),
-                with_zero_rows(gamma, self._unused),
-                self.phi_units,
-                self.velocity_units,
-                self._rank,
-            )
-        except np.linalg.LinAlgError as error:
-            raise SingularityError(self.mechanism.joint_names[0], f"{self.name}: {error}") from error
+        if self._redundancy is None:
+            self._redundancy = Redundancy.of(self)
+        mass_and_force, rows = self.mass_and_force(q, v), (self.phi_jacobian(q), self.gamma(q, v))
+        return solve_rigidly(self, self._redundancy, mass_and_force, rows)
 
     def gamma(self, q: Array, v: Array) -> Array:
         """Return gamma (k,): minus the rate of J v along the motion at constant v, and what motions add."""
@@ -366,11 +359,10 @@ class ExudynSystem:
         """Return the energies at the present state of Exudyn's system, which is q and v."""
         rates = self.nodal_rates(q) @ v
         positions = np.reshape(q[: NODAL * self.count], (-1, NODAL))[:, :3]
-        masses = np.array([body.mass for body in self.mechanism.bodies[1:]])
         return {
             "kinetic_energy": 0.5 * float(rates @ self._mass_matrix() @ rates),
             "potential_energy": self._applied(self.time).energy
-            - float(masses @ (positions @ self.scene.gravity)),
+            - float(np.sum(weights(self.model) * positions)),
             "work": float(q[-1]) if self.scene.tracks_work else None,
         }
 

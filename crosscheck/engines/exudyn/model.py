@@ -61,9 +61,6 @@ from newton_euler.model.joint_kinds import Rod
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
-exu.config.printToConsole = False
-exu.config.suppressWarnings = True
-
 
 class Row(NamedTuple):
     """A constraint equation.
@@ -91,6 +88,7 @@ class Model:
         mbs: `MainSystem`.
         nodes: node of each moving body.
         bodies: object of each body, the ground first.
+        weights: load of gravity on each moving body.
         objects: objects of each joint, none for a free joint.
         rows: constraint equations that are in the model.
         equations: couplings and prescribed motions, then rotors, as far as they are in the model.
@@ -110,6 +108,7 @@ class Model:
     mbs: Any = None
     nodes: list[Any] = field(default_factory=list)
     bodies: list[Any] = field(default_factory=list)
+    weights: list[Any] = field(default_factory=list)
     objects: list[list[Any]] = field(default_factory=list)
     rows: list[Row] = field(default_factory=list)
     equations: list[CoordinateEquation] = field(default_factory=list)
@@ -191,7 +190,8 @@ def _add_bodies(model: Model) -> None:
         inertia = [body.inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))]
         item = mbs.AddObject(ObjectRigidBody(mass=body.mass, inertia=inertia, nodeNumber=node))
         marker = mbs.AddMarker(MarkerBodyMass(bodyNumber=item))
-        mbs.AddLoad(LoadMassProportional(markerNumber=marker, loadVector=list(scene.gravity)))
+        load = LoadMassProportional(markerNumber=marker, loadVector=list(scene.gravity))
+        model.weights.append(mbs.AddLoad(load))
         model.nodes.append(node)
         model.bodies.append(item)
     for armature in scene.armatures:

@@ -10,12 +10,10 @@ import numpy as np
 
 from crosscheck.engines.applied import commands
 from crosscheck.engines.exudyn.forces import motions_of
-from newton_euler.equations import dense
+from newton_euler.equations.engine_solution import servo_forces
 from newton_euler.equations.model_control import known_scene, roles
 from newton_euler.equations.parameters import measuring
-from newton_euler.equations.redundancy import rows_left_out, with_zero_rows
 from newton_euler.equations.system import System
-from newton_euler.errors import SingularityError
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
@@ -87,19 +85,8 @@ def _servo_forces(
     mass_and_force, jacobian = system.mass_and_force(q, v), system.phi_jacobian(q)
     gamma = system.gamma(q, v) if moves else np.zeros(len(jacobian))
     rows, terms = _coordinate_rows(system, state, keys)
-    units = [system.mechanism.size if system.mechanism.is_slide(*key) else 1.0 for key in keys]
-    left_out = rows_left_out(system)
-    try:
-        _, multipliers = dense.solve_constrained(
-            *mass_and_force,
-            np.concatenate([with_zero_rows(jacobian, left_out), rows]),
-            np.concatenate([with_zero_rows(gamma, left_out), accelerations + terms]),
-            row_units=np.concatenate([system.phi_units, units]),
-            column_units=system.velocity_units,
-        )
-    except np.linalg.LinAlgError as error:
-        raise SingularityError(keys[0][0], "control laws cannot choose the accelerations there") from error
-    return dict(zip(keys, multipliers[len(system.phi_units) :].tolist(), strict=True))
+    forces = servo_forces(system, mass_and_force, (jacobian, gamma), keys, (rows, accelerations + terms))
+    return dict(zip(keys, forces.tolist(), strict=True))
 
 
 def _coordinate_rows(system: ModelSystem, state: State, keys: Sequence[Key]) -> tuple[Array, Array]:

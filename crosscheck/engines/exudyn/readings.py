@@ -31,6 +31,14 @@ def mass_properties(model: Model) -> MassProperties:
     return found
 
 
+def weights(model: Model) -> Array:
+    """Return the force of gravity (b - 1, 3), N, world frame, on each of Exudyn's moving bodies."""
+    read = model.mbs
+    pairs = zip(model.bodies[1:], model.weights, strict=True)
+    forces = [read.GetObject(body)["mass"] * read.GetLoad(load)["loadVector"] for body, load in pairs]
+    return np.reshape(forces, (-1, 3))
+
+
 def joint_geometry(model: Model) -> dict[str, JointGeometry]:
     """Return the joints, by name, as the markers have them at the present pose, which is the initial one."""
     joints = zip(model.scene.mechanism.joints, model.objects, strict=True)

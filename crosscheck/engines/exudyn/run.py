@@ -12,6 +12,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import exudyn as exu
 import numpy as np
 
+from crosscheck.engines.exudyn.calls import exudyn_calls
 from crosscheck.engines.exudyn.running import IndependentRows, RunningSystem
 from newton_euler.equations.applied_forces import surroundings, with_likely_causes
 from newton_euler.equations.parameters import pieces, with_values
@@ -37,6 +38,10 @@ decayed after some ten steps; errors of the motion are a fifth larger than with 
 
 STEPS_BETWEEN_CHECKS = 10
 """Largest number of steps between two checks of the independence of the constraint rows in use."""
+
+
+class StepError(IntegrationError):
+    """A run of Exudyn's solver that stops within a step, and that a shorter step may complete."""
 
 
 class Output(NamedTuple):
@@ -105,6 +110,12 @@ def integrals(times: Array, values: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(of_steps)])
 
 
+def _text(error: Exception) -> str:
+    """Describe an exception in one line, with the name of its class if the message alone may be obscure."""
+    text = (str(error).strip().splitlines() or ["no reason"])[0]
+    return text if isinstance(error, SingularityError) else f"{type(error).__name__}: {text}"
+
+
 class Run:
     """A run of Exudyn: its present state, and the outputs so far.
 
@@ -144,8 +155,13 @@ class Run:
         """Find accelerations and multipliers of the present state, and store an output there if it is one."""
         try:
             self._acceleration, self._multipliers = self._equations.solve(self._q, self._v)
-        except (SingularityError, exu.ExudynError) as error:
-            raise self._raised(error) from error
+        except (SingularityError, ArithmeticError) as error:
+            if self._time:
+                raise StepError(self._time, self._reason(_text(error), "use a shorter step")) from error
+            reason = self._reason(_text(error), "start from another state")
+            raise IntegrationError(self._time, reason) from error
+        except Exception as error:
+            raise self._unexpected(error) from error
         if is_output:
             self.outputs.append(self._present(self._time))
 
@@ -203,13 +219,15 @@ class Run:
         equations.model.mbs.SetPostStepUserFunction(record)
         solver, settings = exu.MainSolverImplicitSecondOrder(), self._settings(part)
         try:
-            solver.SolveSystem(equations.model.mbs, settings)
+            with exudyn_calls():
+                solver.SolveSystem(equations.model.mbs, settings)
         except exu.SolverError as error:
             raise self._failed(solver, step) from error
-        except Exception as error:  # of functions in Python that Exudyn calls
-            if isinstance(error.__cause__, KeyboardInterrupt):  # of the user, or of a time limit
-                raise error.__cause__ from None
-            raise self._raised(error) from error
+        except (SingularityError, ArithmeticError) as error:  # at an iterate that may be far from the motion
+            remedy = f"use a step shorter than {step:.3g} s"
+            raise StepError(self._time, self._reason(_text(error), remedy)) from error
+        except Exception as error:
+            raise self._unexpected(error) from error
         finally:
             self._add_work(powers, first)
         if reached < len(part.times) - 1 and not has_other_rows:
@@ -273,29 +291,25 @@ class Run:
         integration.newton.useModifiedNewton = not self._equations.model.equations
         return settings
 
-    def _failed(self, solver: Any, step: float) -> IntegrationError:
+    def _failed(self, solver: Any, step: float) -> StepError:
         """Return the error of a run whose equations Exudyn's solver could not solve at a step, s."""
         is_singular = solver.conv.linearSolverFailed
         what = "equations are singular" if is_singular else "Newton iteration did not converge"
+        reason = f"Exudyn's {what} at a step of {step:.3g} s ({solver.GetErrorString()})"
         remedy = f"use a step shorter than {step:.3g} s"
         if is_singular:
             remedy += ", or start farther from the singular state"
-        reason = f"Exudyn's {what} at a step of {step:.3g} s ({solver.GetErrorString()})"
-        return self._stopped(reason, remedy)
+        return StepError(self._time, self._reason(reason, remedy))
 
-    def _raised(self, error: Exception) -> IntegrationError:
-        """Return the error of a run that stops by an error in Python, which Exudyn may have wrapped."""
-        origin = error.__cause__ or error
-        text = (str(origin).strip().splitlines() or ["no reason"])[0]
-        if isinstance(origin, SingularityError):
-            return self._stopped(text, "use a shorter step" if self._time else "start from another state")
-        kind = type(origin).__name__
-        return self._stopped(f"{kind}: {text}", "correct the force or the law that raises this error")
+    def _unexpected(self, error: Exception) -> IntegrationError:
+        """Return the error of a run that stops by an exception of a Python function or of Exudyn."""
+        remedy = "this is an error of Exudyn or of its adapter, unless a class of yours raises it"
+        return IntegrationError(self._time, self._reason(_text(error), remedy))
 
-    def _stopped(self, reason: str, remedy: str) -> IntegrationError:
-        """Return the error of a run that stops at the present time."""
+    def _reason(self, reason: str, remedy: str) -> str:
+        """Return why a run stops at the present time, with likely causes and a remedy."""
         scene, equations = self._equations.scene, self._equations
         equations.time = self._time
         state = equations.state(self._q, self._v)
         at = surroundings(scene, state, self._time)
-        return IntegrationError(self._time, f"{with_likely_causes(scene, state, reason, at)}; {remedy}")
+        return f"{with_likely_causes(scene, state, reason, at)}; {remedy}"

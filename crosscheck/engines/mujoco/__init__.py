@@ -19,6 +19,7 @@ from crosscheck.engines.engine import (
     FixedSteps,
     Importer,
     ImporterLimit,
+    Integrators,
     Settings,
     SoftConstraints,
     without_forces,
@@ -48,6 +49,17 @@ for example because of stiff dampers, `IMPLICIT` is used instead."""
 SOLVER_TOLERANCE = 1e-8
 """Relative improvement below which MuJoCo's iteration for the forces of its soft (spring-like) constraints
 ends; MuJoCo's default."""
+
+FORCE_ERROR = 1e-2
+"""Expected error of reaction forces of runs, relative to the largest force. MuJoCo limits solimp to 0.9999,
+which causes errors of about 0.1 % at any step, and larger errors in ill-conditioned mechanisms."""
+
+SMALLEST_RESISTED = 1e-7
+"""Smallest singular value s of a nearly redundant constraint that affects a run.
+
+MuJoCo's constraints (1 - impedance = 1e-4, time constant 2e-3 s) resist the motion that such a constraint
+nearly allows. The stiffness k, divided by the inertia, is s^2 / (1e-4 (2e-3 s)^2) = 2.5e-5 1/s^2. Within
+t = 20 s it changes the motion by k t^2 = 1 %."""
 
 LIMITS = {
     "URDF": ImporterLimit(
@@ -195,8 +207,8 @@ ENGINE = Engine(
     energy_error=1e-8,
     package="mujoco",
     label="MuJoCo",
-    explicit="RK4",
-    soft_constraints=SoftConstraints(_soft_evaluation, SOLVER_TOLERANCE),
+    integrators=Integrators("RK4", "implicitfast"),
+    soft_constraints=SoftConstraints(_soft_evaluation, SOLVER_TOLERANCE, FORCE_ERROR, SMALLEST_RESISTED),
     refined_in_full=partial(_refined, in_full=True),
     fixed_steps=FixedSteps("RK4", lambda step: {"integrator": "RK4", "timestep": step}, steps=40),
     with_moved_anchor=_with_moved_anchor,

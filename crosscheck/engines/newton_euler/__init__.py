@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from crosscheck.engines.adaptive import native_refined, native_run
 from crosscheck.engines.benchmarks import Benchmarks
-from crosscheck.engines.engine import NO_SETTINGS, Engine, FixedSteps, Settings
+from crosscheck.engines.engine import NO_SETTINGS, Engine, FixedSteps, Integrators, Settings
 from crosscheck.engines.stress import StressSettings
 from newton_euler.equations.system import System
 from newton_euler.errors import DISTRIBUTION
@@ -53,6 +53,7 @@ ENGINE = Engine(
     drift=1e-13,
     energy_error=1e-8,
     package=DISTRIBUTION,
+    integrators=Integrators("DOP853", "Radau"),
     exact={"rtol": EXACT_RTOL, "atol": EXACT_ATOL},
     fixed_steps=FixedSteps("RK4", lambda step: {"integrator": "RK4", "step": step}, steps=40),
     benchmarks=_benchmarks,

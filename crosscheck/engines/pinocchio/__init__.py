@@ -12,6 +12,7 @@ from crosscheck.engines.engine import (
     FixedSteps,
     Importer,
     ImporterLimit,
+    Integrators,
     Settings,
 )
 from crosscheck.engines.stress import StressSettings
@@ -88,6 +89,7 @@ ENGINE = Engine(
     refined_in_full=partial(_refined, in_full=True),
     # Python calls Pinocchio four times per step
     fixed_steps=FixedSteps("RK4", lambda step: {"integrator": "RK4", "step": step}, steps=10),
+    integrators=Integrators("DOP853", "Radau"),
     at_tolerance=lambda rtol: {"rtol": rtol, "atol": 0.01 * rtol},
     benchmarks=_benchmarks,
     importer=Importer(_as_imported, LIMITS),

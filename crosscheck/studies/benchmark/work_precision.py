@@ -23,13 +23,13 @@ from crosscheck.support.errors import CrosscheckError, reason_of
 from crosscheck.support.time_limits import time_limit
 from newton_euler.codegen.compile import garbage_collection_off
 
-LADDER_TIME_LIMIT = 1.5
+LADDER_TIME_LIMIT = 4.0
 """CPU time of a run, s, above which finer settings of the same method are not tried."""
 
-RUN_TIME_LIMIT = 3.0
+RUN_TIME_LIMIT = 8.0
 """CPU time of a run, s, after which the run is aborted."""
 
-ENGINE_TIME_LIMIT = 40.0
+ENGINE_TIME_LIMIT = 100.0
 """CPU time of an engine, s, after which no further method of the engine is tried."""
 
 SETTING_TIME = 0.15

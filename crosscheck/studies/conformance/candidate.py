@@ -7,7 +7,8 @@ call, so that the report of an error can name the scene and the line of the engi
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from traceback import walk_tb
@@ -17,9 +18,13 @@ from crosscheck.engines.engine import Engine, Settings
 from crosscheck.engines.limits import CannotExpressError, Limit
 from crosscheck.studies.conformance.scenes import ONE_BODY
 from crosscheck.support.errors import CrosscheckError
+from crosscheck.support.time_limits import limited
 from newton_euler.equations.system import System
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
+
+TIME_ADVICE = "the scenes are motions of less than half a second"
+"""Advice in the error message of a scene that takes too long."""
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -41,8 +46,10 @@ class Candidate:
         scene: name of the scene of the last call; "" before the first one.
     """
 
-    def __init__(self, engine: Engine) -> None:
+    def __init__(self, engine: Engine, progress: Callable[[str], None] = lambda message: None) -> None:
+        """Prepare to check an engine; `progress` shows a message to the user."""
         self.engine, self.scene = engine, ""
+        self._progress = progress
         self._called: Callable[..., Any] = engine.simulate
         self._runs: dict[str, Trajectory | Exception] = {}
 
@@ -110,13 +117,26 @@ class Candidate:
         ]
         return lines[-1] if lines else _definition_of(self._called)
 
-    def _call(self, scene: Scene, function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
-        """Call a function of the engine, and remember it and the scene."""
-        self.scene, self._called = scene.name, function
+    @contextmanager
+    def limited(self, scene: Scene) -> Iterator[None]:
+        """Interrupt code of the engine after the limit of processor time, and remember the scene.
+
+        Raises:
+            TooLongError: if the limit is exceeded.
+            ContractError: if the code exits.
+        """
+        self.scene = scene.name
         try:
-            return function(*args, **kwargs)
+            with limited(f"{self.engine.name}: scene {scene.name}", TIME_ADVICE, self._progress):
+                yield
         except SystemExit as error:
             raise ContractError(f"it exits with {error.code}; needed: a run or an error") from error
+
+    def _call(self, scene: Scene, function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
+        """Call a function of the engine within the limit of time, and remember it and the scene."""
+        self._called = function
+        with self.limited(scene):
+            return function(*args, **kwargs)
 
     def _checked(self, found: object, scene: Scene) -> Trajectory:
         """Return a result that is a `Trajectory`; raise `ContractError` otherwise."""

@@ -14,7 +14,7 @@ from crosscheck.engines.limits import CannotExpressError
 from crosscheck.engines.registry import SOLVER
 from crosscheck.report.chart import Measure, linear_chart
 from crosscheck.report.table import Cell, Part, Report, Rows, Table, text_columns
-from crosscheck.studies.conformance import conventions, elements, runs
+from crosscheck.studies.conformance import applied, conventions, elements, runs
 from crosscheck.studies.conformance.candidate import Candidate, NotOfferedError
 from crosscheck.support.errors import reason_of
 
@@ -25,8 +25,13 @@ POINTS: dict[str, Callable[[Candidate], str]] = {
         *(conventions.reaction_sign, conventions.reaction_frame, conventions.reaction_point),
         *(conventions.drive_force, conventions.energy, conventions.work),
         *(elements.slides, elements.balls, elements.free_bodies, elements.ground_second),
-        *(elements.chain, elements.loops, elements.couplings, elements.jumps, elements.sampled_control),
-        *(runs.refinement, runs.fixed_steps, runs.stop, runs.equations, runs.limits, runs.settings),
+        *(elements.chain, elements.loops, elements.universals, elements.screws, elements.rods),
+        *(elements.couplings, elements.jumps, elements.sampled_control),
+        *(applied.joint_springs, applied.ball_springs, applied.point_springs, applied.wrenches),
+        *(applied.winds, applied.frictions, applied.stops, applied.elastic_gears),
+        *(applied.prescribed_motions, applied.rotors, applied.ball_rotors),
+        *(runs.refinement, runs.errors, runs.fixed_steps, runs.stop),
+        *(runs.equations, runs.limits, runs.settings),
     )
 }
 """Points of the contract by name: functions that return what is wrong with an engine, or ""."""
@@ -117,7 +122,7 @@ def check_point(candidate: Candidate, point: str) -> Finding:
 
 def check_engine(engine: Engine, progress: Callable[[str], None]) -> Sequence[Finding]:
     """Check all points of an engine; `progress` is called with the name of each."""
-    candidate, found = Candidate(engine), []
+    candidate, found = Candidate(engine, progress), []
     for point in POINTS:
         progress(f"{engine.name}: {point}")
         found.append(check_point(candidate, point))

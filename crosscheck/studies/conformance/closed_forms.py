@@ -11,6 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from crosscheck.studies.conformance.element_scenes import (
+    GUIDE,
+    SLIDE_FRICTION,
+    SLIDE_ROTOR,
+    SPRING_REST,
+)
 from crosscheck.studies.conformance.scenes import (
     JUMP_TIME,
     SAMPLING_PERIOD,
@@ -87,10 +93,7 @@ def slide(scene: Scene) -> Arrays:
     second body of the slide, of the ground otherwise.
     """
     (joint,), weight = scene.mechanism.joints, scene.mechanism.bodies[1].mass * scene.gravity
-    speed = float(initial_state(scene).linear_velocity[1] @ SLIDE_AXIS)
-    along = float(scene.gravity @ SLIDE_AXIS)
-    motions = [Motion(speed * t + 0.5 * along * t**2, speed + along * t) for t in scene.times.tolist()]
-    arrays = _along_slide(scene, motions)
+    arrays = _along_slide(scene, _accelerated(scene))
     is_backward = joint.second == scene.mechanism.body_names[0]
     force = (weight @ SLIDE_AXIS) * SLIDE_AXIS - weight
     arms = arrays["position"][:, 1] - joint.point
@@ -116,6 +119,69 @@ def jump_response(scene: Scene) -> Arrays:
         motions.append(motion)
         forces.append(SLIDE_STIFFNESS * (target - motion.x) - SLIDE_DAMPING * motion.rate)
     return _along_slide(scene, motions) | {"actuator_force": np.array(forces)[:, None]}
+
+
+def spring_response(scene: Scene) -> Arrays:
+    """Return the run of a sliding body on a spring and damper, with its energies and the damper's work."""
+    start, times = _initial_motion(scene), scene.times.tolist()
+    motions = [_oscillated(scene, start, SPRING_REST, time) for time in times]
+    springs = [0.5 * SLIDE_STIFFNESS * (motion.x - SPRING_REST) ** 2 for motion in motions]
+    return _with_energies(scene, motions, potential=np.array(springs))
+
+
+def guided_motion(scene: Scene) -> Arrays:
+    """Return the run of a sliding body whose displacement is prescribed, with the reaction force, which
+    includes the force of the motion, and with the work of this force."""
+    start = GUIDE.value(0.0)  # of the initial state, from which displacements are counted
+    times = scene.times.tolist()
+    motions = [Motion(float(GUIDE.value(t) - start), float(GUIDE.rate(t))) for t in times]
+    accelerations = [GUIDE.acceleration(t) for t in times]
+    force = scene.mechanism.bodies[1].mass * (np.outer(accelerations, SLIDE_AXIS) - scene.gravity)
+    return _with_energies(scene, motions) | {"reaction_force": force[:, None]}
+
+
+def braked_motion(scene: Scene) -> Arrays:
+    """Return the run of a body that slides against dry friction, with its energies and its work."""
+    return _with_energies(scene, _accelerated(scene, friction=SLIDE_FRICTION))
+
+
+def rotor_slide(scene: Scene) -> Arrays:
+    """Return the run of a body that its weight accelerates along a slide with a rotor, with its energies."""
+    arrays = _with_energies(scene, _accelerated(scene, rotor=SLIDE_ROTOR), rotor=SLIDE_ROTOR)
+    return {name: values for name, values in arrays.items() if name != "work"}  # nothing does work
+
+
+def _accelerated(scene: Scene, friction: float = 0.0, rotor: float = 0.0) -> list[Motion]:
+    """Return the motion of a sliding body that its weight accelerates against a constant force.
+
+    Args:
+        scene: the scene.
+        friction: the force, N.
+        rotor: rotor inertia of the slide, kg.
+    """
+    mass, start = scene.mechanism.bodies[1].mass, _initial_motion(scene)
+    along = (mass * float(scene.gravity @ SLIDE_AXIS) - friction) / (mass + rotor)
+    times = scene.times.tolist()
+    return [Motion(start.rate * t + 0.5 * along * t**2, start.rate + along * t) for t in times]
+
+
+def _with_energies(
+    scene: Scene, motions: list[Motion], rotor: float = 0.0, potential: Array | float = 0.0
+) -> dict[str, Array]:
+    """Return the motion of a sliding body with its energies and the work, the change of their sum.
+
+    Args:
+        scene: the scene.
+        motions: motion at each output time.
+        rotor: rotor inertia of the slide, kg.
+        potential: potential energy of springs at the output times, J.
+    """
+    mass, arrays = scene.mechanism.bodies[1].mass, _along_slide(scene, motions)
+    kinetic = 0.5 * (mass + rotor) * np.array([motion.rate**2 for motion in motions])
+    potential = potential - mass * arrays["position"][:, 1] @ scene.gravity
+    energy = kinetic + potential
+    energies = {"kinetic_energy": kinetic, "potential_energy": potential, "work": energy - energy[0]}
+    return arrays | energies
 
 
 def sampled_motion(scene: Scene) -> Arrays:

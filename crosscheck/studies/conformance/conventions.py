@@ -12,7 +12,7 @@ import numpy as np
 from crosscheck.studies.conformance.candidate import Candidate
 from crosscheck.studies.conformance.differences import (
     EXACT,
-    POSES,
+    MOTION,
     REACTION,
     TOLERANCE,
     arrays_of,
@@ -90,13 +90,14 @@ def outputs(candidate: Candidate) -> str:
 
 
 def motion(candidate: Candidate) -> str:
-    """Masses, inertias, gravity, joint points and axes are those of the scene.
+    """Masses, inertias, gravity, joint points and axes are those of the scene, in poses and velocities.
 
-    This is the plainest run: a single body that swings about a skew hinge, with a turned body frame.
+    Every other point needs these numbers. One body on a skew hinge, with a turned frame, shows each of them.
 
-    A number of the model or its frame is wrong, such as an inertia of the body frame as one of the world.
+    A number of the model or its frame is wrong, such as an inertia of the body frame as one of the world, or
+    velocities are those of another time.
     """
-    return first_difference(candidate.run(swing()), arrays_of(reference(swing()), POSES))
+    return first_difference(candidate.run(swing()), arrays_of(reference(swing()), MOTION))
 
 
 def reaction_sign(candidate: Candidate) -> str:

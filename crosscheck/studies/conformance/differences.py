@@ -7,12 +7,16 @@ from functools import lru_cache
 
 import numpy as np
 
+from crosscheck.compare.samples import Samples, States
 from crosscheck.engines.registry import SOLVER
 from crosscheck.studies.conformance.closed_forms import Arrays
-from crosscheck.studies.conformance.scenes import SCENES
+from crosscheck.studies.conformance.element_scenes import SCENES
+from newton_euler.equations.relative import Relative
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.reading.excitation import random_states
+from newton_euler.runs.assemble import initial_state
 from newton_euler.runs.simulate import simulate
 from newton_euler.scalars import Array
 
@@ -35,6 +39,9 @@ MOTION = (*POSES, "linear_velocity", "angular_velocity")
 REACTION = ("reaction_force", "reaction_torque")
 """Names of the arrays of reactions."""
 
+RANDOM_STATES = 2
+"""Number of random states, in addition to the initial one, at which equations are compared."""
+
 
 @lru_cache(maxsize=2 * len(SCENES))
 def reference(scene: Scene) -> Trajectory:
@@ -43,10 +50,35 @@ def reference(scene: Scene) -> Trajectory:
     return simulate(scene, **(SOLVER.exact or {}))
 
 
+@lru_cache(maxsize=len(SCENES))
+def reference_equations(scene: Scene) -> Samples:
+    """Return newton_euler's equations of a scene at its initial state and at random states, which move."""
+    states = (initial_state(scene), *random_states(scene, RANDOM_STATES))
+    return Samples(Relative(scene), States(scene, states))
+
+
+def violations(scene: Scene, run: Trajectory) -> Array:
+    """Compute the largest residual (n, j) of the constraints of each joint from the poses of a run, m or rad.
+
+    Couplings are left out.
+    """
+    frames = [run.state(row).frames() for row in range(len(run.time))]
+    residuals = [
+        [joint.phi(each[joint.first], each[joint.second]) for joint in scene.mechanism.equations]
+        for each in frames
+    ]
+    return np.array([[np.max(np.abs(phi), initial=0.0) for phi in row] for row in residuals])
+
+
 def arrays_of(run: Trajectory, names: Iterable[str]) -> Arrays:
     """Return the arrays of a run with some names, those that it has."""
     found = {name: getattr(run, name) for name in names}
     return {name: values for name, values in found.items() if values is not None}
+
+
+def whole_run(scene: Scene) -> Arrays:
+    """Return the poses, velocities, reactions, energies and work of the reference run of a scene."""
+    return arrays_of(reference(scene), (*MOTION, *REACTION, "kinetic_energy", "potential_energy", "work"))
 
 
 def relative(found: Array | None, exact: Array) -> float:

@@ -7,6 +7,8 @@ them.
 
 from __future__ import annotations
 
+import numpy as np
+
 from crosscheck.studies.conformance.candidate import Candidate
 from crosscheck.studies.conformance.closed_forms import (
     flight,
@@ -16,12 +18,16 @@ from crosscheck.studies.conformance.closed_forms import (
     steady_turn,
 )
 from crosscheck.studies.conformance.differences import (
-    POSES,
+    EXACT,
+    MOTION,
     REACTION,
+    TOLERANCE,
     arrays_of,
     first_difference,
     reference,
+    violations,
 )
+from crosscheck.studies.conformance.element_scenes import cardan, rodded, screwed
 from crosscheck.studies.conformance.scenes import (
     backward_drive,
     backward_slide,
@@ -79,7 +85,7 @@ def ground_second(candidate: Candidate) -> str:
     """
     exact = reference(driven_swing())
     forces = {name: -values for name, values in arrays_of(exact, ("actuator_force", *REACTION)).items()}
-    return first_difference(candidate.run(backward_drive()), {**arrays_of(exact, POSES), **forces})
+    return first_difference(candidate.run(backward_drive()), {**arrays_of(exact, MOTION), **forces})
 
 
 def chain(candidate: Candidate) -> str:
@@ -89,17 +95,56 @@ def chain(candidate: Candidate) -> str:
 
     Arrays are in another order, or forces between two moving bodies are wrong.
     """
-    return first_difference(candidate.run(double()), arrays_of(reference(double()), (*POSES, *REACTION)))
+    return first_difference(candidate.run(double()), arrays_of(reference(double()), (*MOTION, *REACTION)))
 
 
 def loops(candidate: Candidate) -> str:
-    """A joint that closes a loop holds.
+    """A joint that closes a loop holds, and the constraint violation is that of the poses.
 
-    Loops need constraints, which simulators solve in different ways.
+    Loops need constraints, which simulators solve in different ways. `crosscheck run` trusts the violation.
 
-    The loop is open, or its constraint is too soft.
+    The loop is open, its constraint is too soft, or the violation is not computed from the poses.
     """
-    return first_difference(candidate.run(linkage()), arrays_of(reference(linkage()), POSES))
+    run, exact = candidate.run(linkage()), reference(linkage())
+    by_poses = violations(linkage(), run)
+    if why := first_difference(run, arrays_of(exact, MOTION)):
+        return why
+    found = np.asarray(run.constraint_violation, dtype=float)
+    if found.shape != by_poses.shape:
+        return f"constraint_violation has the shape {found.shape}; needed: {by_poses.shape}"
+    if np.allclose(found, by_poses, rtol=TOLERANCE, atol=EXACT):
+        return ""
+    return f"constraint_violation is at most {np.max(found):.2g}; by the poses: {np.max(by_poses):.2g}"
+
+
+def universals(candidate: Candidate) -> str:
+    """A universal joint has one axis in its first body, and a perpendicular one in its second body.
+
+    Simulators build universal joints from two hinges, whose order matters at large angles.
+
+    The axes are exchanged, or both are fixed in one body.
+    """
+    return first_difference(candidate.run(cardan()), arrays_of(reference(cardan()), (*MOTION, *REACTION)))
+
+
+def screws(candidate: Candidate) -> str:
+    """A screw moves by its pitch times its angle, in meters per radian.
+
+    Simulators define the pitch per radian or per revolution.
+
+    The pitch is per revolution, has the other sign, or the joint is a hinge or a cylinder.
+    """
+    return first_difference(candidate.run(screwed()), arrays_of(reference(screwed()), (*MOTION, *REACTION)))
+
+
+def rods(candidate: Candidate) -> str:
+    """A rod keeps the distance of a point of one body and a point of the other, by a force along the rod.
+
+    Simulators have constraints of distances, or rods as bodies with a mass.
+
+    The rod is left out, its ends are other points, or its force acts on the wrong body.
+    """
+    return first_difference(candidate.run(rodded()), arrays_of(reference(rodded()), (*MOTION, *REACTION)))
 
 
 def couplings(candidate: Candidate) -> str:
@@ -109,7 +154,7 @@ def couplings(candidate: Candidate) -> str:
 
     The gear is left out, or its ratio is the inverse or has the other sign.
     """
-    return first_difference(candidate.run(geared()), arrays_of(reference(geared()), POSES))
+    return first_difference(candidate.run(geared()), arrays_of(reference(geared()), MOTION))
 
 
 def jumps(candidate: Candidate) -> str:

@@ -11,31 +11,40 @@ from dataclasses import replace
 
 import numpy as np
 
+from crosscheck.compare.check import REFERENCE
 from crosscheck.compare.levels import compare_pair
+from crosscheck.compare.runs import compare_runs
 from crosscheck.compare.samples import Samples, States
 from crosscheck.engines.engine import FORCE_OUTPUTS, NO_SETTINGS
 from crosscheck.engines.limits import CannotExpressError
-from crosscheck.studies.conformance.candidate import Candidate, NotOfferedError
+from crosscheck.engines.registry import SOLVER
+from crosscheck.studies.conformance.candidate import Candidate, ContractError, NotOfferedError
 from crosscheck.studies.conformance.closed_forms import sampled_motion
 from crosscheck.studies.conformance.differences import (
     POSES,
     arrays_of,
     first_difference,
     reference,
+    reference_equations,
     relative,
 )
+from crosscheck.studies.conformance.element_scenes import SCENES
 from crosscheck.studies.conformance.scenes import (
     FAILURE_TIME,
-    SCENES,
     SHORT_STEP,
+    double,
     fast_swing,
+    geared,
+    linkage,
     short_swing,
     stopping,
     swing,
 )
 from crosscheck.support.errors import CrosscheckError
-from newton_euler.equations.relative import Relative
+from crosscheck.support.time_limits import TooLongError
+from newton_euler.equations.system import System
 from newton_euler.errors import NewtonEulerError
+from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import QUANTITIES, StoppedError
 from newton_euler.runs.assemble import initial_state
 
@@ -68,6 +77,41 @@ def refinement(candidate: Candidate) -> str:
         error = relative(run.position, exact.position)
         if not error <= max(REFINED_ERROR_SHARE * default, ROUND_OFF_ERROR):
             return f"the refined run has an error of {error:.2g}, the default run of {default:.2g}"
+    return ""
+
+
+def errors(candidate: Candidate) -> str:
+    """Errors of the default run are within those that the engine declares, plus what a refined run changes.
+
+    Tolerances of `crosscheck run` are these errors: `trajectory_error`, `drift` and `energy_error`, and four
+    times the change of a refined run.
+
+    An error is declared too small, or does not show in a refined run.
+    """
+    scenes, refusals = (fast_swing(), linkage()), list[Exception]()
+    for scene in scenes:
+        try:
+            if why := _undeclared_error(candidate, scene):
+                return why
+        except CannotExpressError as error:
+            refusals.append(error)
+    if len(refusals) == len(scenes):
+        raise refusals[-1]
+    return ""
+
+
+def _undeclared_error(candidate: Candidate, scene: Scene) -> str:
+    """Describe the first error of a run that exceeds declared and measured errors; return "" if none does."""
+    # The candidate calls the engine's refined runs, with its limit of time
+    engine = replace(candidate.engine, refined=candidate.refined, refined_in_full=None)
+    runs = {REFERENCE: reference(scene), engine.name: candidate.run(scene)}
+    energy = States(scene, (initial_state(scene),)).energy
+    for check in compare_runs(scene, (replace(SOLVER, name=REFERENCE), engine), runs, energy):
+        differs = f"{check.quantity} differs by {check.value:.2g} at {check.where}"
+        if engine.name in check.between and not check.agrees:
+            return f"{differs}; declared and measured errors allow {check.tolerance:.2g}"
+        if check.unconverged == engine.name:
+            return f"{differs}, which a refined run does not reduce"
     return ""
 
 
@@ -121,20 +165,27 @@ def stop(candidate: Candidate) -> str:
 def equations(candidate: Candidate) -> str:
     """Equations of motion agree with newton_euler's at every level of `crosscheck run`.
 
-    Differences of equations locate the body or joint; differences of runs do not.
+    Differences of equations locate the body or joint; differences of runs do not. The mechanisms are a hinge,
+    a chain, a loop and a gear, each at the start and in motion.
 
-    A coordinate, mass matrix, force or reaction of the engine's equations is wrong.
+    A coordinate, mass matrix, force, constraint or reaction of the engine's equations is wrong.
     """
-    scene = swing()
-    if not (systems := candidate.systems(scene)):
-        raise NotOfferedError(f"{candidate.engine.name} has no equations of motion (`systems`)")
-    states = States(scene, (initial_state(scene),))
-    exact = [Samples(Relative(scene), states)]
-    for system in systems:
-        pair = ("reference", candidate.engine.name)
-        for check in compare_pair(pair, exact, [Samples(system, states)]):
-            if check.judged and not check.agrees:
-                return f"{check.level}: {check.quantity} differs by {check.value:.2g} at {check.where}"
+    systems, refusals = list[tuple[Scene, System]](), list[Exception]()
+    for scene in (swing(), double(), linkage(), geared()):
+        try:
+            systems += [(scene, system) for system in candidate.systems(scene)]
+        except CannotExpressError as error:
+            refusals.append(error)
+    if not systems:
+        absent = NotOfferedError(f"{candidate.engine.name} has no equations of motion (`systems`)")
+        raise [absent, *refusals][-1]
+    pair = (REFERENCE, candidate.engine.name)
+    for scene, system in systems:
+        exact = reference_equations(scene)
+        with candidate.limited(scene):
+            for check in compare_pair(pair, [exact], [Samples(system, exact.states)]):
+                if not check.agrees:
+                    return f"{check.level}: {check.quantity} differs by {check.value:.2g} at {check.where}"
     return ""
 
 
@@ -171,6 +222,8 @@ def settings(candidate: Candidate) -> str:
         candidate.simulate(scene, {"no_such_setting": 1.0})
     except CannotExpressError as error:
         return f"an unknown setting is refused as if it were a part of the scene: {error}"
+    except (ContractError, TooLongError):  # no errors about the setting
+        raise
     except (NewtonEulerError, CrosscheckError, TypeError, ValueError):
         return ""
     return "a setting that does not exist is ignored"

@@ -280,12 +280,6 @@ def double() -> Scene:
     return Scene("double", Mechanism([Body.ground(), *bars], hinges), 0.3, 0.1, GRAVITY)
 
 
-SCENES: tuple[Callable[[], Scene], ...] = (
-    *(swing, backward_swing, fast_swing, driven_swing, backward_drive, floating, conical),
-    *(sliding, backward_slide, jumping, sampled, double, linkage, geared),
-)
-"""Constructors of all scenes whose runs come to their end."""
-
 ONE_BODY: tuple[Callable[[], Scene], ...] = (swing, sliding, floating, conical)
 """Constructors of scenes of one body on one joint. Conventions that do not depend on the joint are checked on
 the first of these scenes that an engine can express."""

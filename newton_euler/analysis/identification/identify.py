@@ -80,9 +80,8 @@ class Identification:
         misfit: root of reduced chi-squared: root of (sum of squared residuals in units of the given noise,
             divided by the expected sum). About 1 if the scene can move as measured. NaN if no noise is
             given, or if there are not more numbers with given noise than the fit needs.
-        degrees_of_freedom: degrees of freedom of the misfit as a chi-squared variable, see
-            `newton_euler.analysis.identification.noise`. If all noise is given: the number of measured
-            numbers minus the number of identifiable combinations of parameters.
+        degrees_of_freedom: degrees of freedom of the misfit as a chi-squared variable. If all noise is given:
+            the number of measured numbers minus the number of identifiable combinations of parameters.
         probability: p-value: probability of this misfit or a larger one by chance alone. NaN without a
             misfit.
         residuals: measured minus computed, (n,) by column, for each run.
@@ -106,10 +105,9 @@ class Identification:
         >>> run = simulate(with_parameters(scene, {"panel_7.mass": 0.95}))
         >>> height = run.position[:, 6, 2] + 1e-5 * np.random.default_rng(0).normal(size=len(run.time))
         >>> measured = Measurements(run.time, {"position.panel_7.z": height}, {"position.panel_7.z": 1e-5})
-        >>> def mass(found: Identification) -> float:
-        ...     return float(found.values[0])
-        >>> print(f"{mass(identify(scene, ['panel_7.mass'], measured)):.2f} kg")
-        0.95 kg
+        >>> found: Identification = identify(scene, ["panel_7.mass"], measured)
+        >>> print(found.values.round(2), found.standard_deviations.round(3))  # kg
+        [0.95] [0.003]
     """
 
     scene: Scene

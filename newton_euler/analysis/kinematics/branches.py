@@ -119,6 +119,7 @@ def assembly_branches(
 
     Examples:
         >>> found = assembly_branches(load("slider_crank"), {"pivot": 0.3}, measure=("guide",))
+        >>> # the slider on either side of the crank, and the rod in two rotations about its own line
         >>> print(found.labels, found.poses.coordinates["guide"].round(3))
         ('0 +', '1 -', '2 -', '3 +') [ 0.014  0.014 -0.414 -0.414]
     """

@@ -66,8 +66,10 @@ class Axis:
         MechanismError: for an axis without a direction.
 
     Examples:
-        >>> Axis("panel_7", [0, 0, 2]).axis
-        array([0., 0., 1.])
+        >>> normal = Axis("panel_7", [0, 0, 2])
+        >>> poses = solve_poses(load("tracker"), {"slide_12": 0.02, "slide_13": 0.02}, axis=normal)
+        >>> print(np.asarray(poses.direction).round(2))  # world frame
+        [[-0.02  0.02  1.  ]]
     """
 
     body: str

@@ -43,8 +43,11 @@ class Point:
         MechanismError: for a point that is not three finite numbers.
 
     Examples:
-        >>> Point("bucket", [8.3, 0.0, -0.1]).point
-        array([ 8.3,  0. , -0.1])
+        >>> tip = Point("dumbbell", [-1.0, 0.0, 0.0])
+        >>> poses = solve_poses(load("pendulum"), {"pivot": [0.0, np.pi / 2]})
+        >>> print(poses.positions(tip).round(3) + 0.0)  # m, before and after a quarter of a turn
+        [[-1.  0.  0.]
+         [ 0. -1.  0.]]
     """
 
     body: str

@@ -75,13 +75,11 @@ class Poses:
         closed: (n,) True if all loops are closed.
 
     Examples:
-        >>> poses = solve_poses(load("slider_crank"), {"guide": [0.0, 1.0]}, measure=["pivot"])
+        >>> poses: Poses = solve_poses(load("slider_crank"), {"guide": [0.0, 1.0]}, measure=["pivot"])
+        >>> print(poses.reached)
+        [ True False]
         >>> print(*poses.report())
         pose 1: out of reach, nearest pose, misses 'guide' by -0.90984 m
-        >>> def out_of_reach(poses: Poses) -> int:
-        ...     return len(poses) - int(poses.reached.sum())
-        >>> out_of_reach(poses)
-        1
     """
 
     position: Array
@@ -230,7 +228,8 @@ def solve_poses(
 ) -> Poses:
     """Solve forward or inverse kinematics for many goals at once, by compiled equations.
 
-    Goals are joint coordinates, the direction of an axis of a body, or both. If goals do not determine the
+    Goals are joint coordinates, the direction of an axis of a body, or both, but not the position of a point
+    (`Poses.positions` computes positions). If goals do not determine the
     pose, the mechanism moves the least from the nearest solved pose. If goals cannot be met, the nearest pose
     is found: its distance is the root of the sum of squares of angles, rad, and lengths, sizes of the
     mechanism. Poses are on the assembly branch of the start. Prescribed motions of other joints hold their

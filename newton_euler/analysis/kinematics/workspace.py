@@ -219,6 +219,7 @@ def singular_poses(
         UnknownNameError: for an unknown joint.
 
     Examples:
+        >>> # dead centers of the slider: both ends of its stroke, on either side of the crank
         >>> ends = singular_poses(load("slider_crank"), ["guide"], 50).coordinates["guide"]
         >>> print(np.unique(ends.round(6)))
         [-0.49016  -0.384952 -0.015048  0.09016 ]

@@ -46,9 +46,9 @@ class Modes:
             world frame; the largest component is 1 rad, or `LinearModel.size`, and real.
 
     Examples:
-        >>> modes = linearize(load("stewart")).modes()
-        >>> isinstance(modes, Modes), modes.frequencies.round(1).tolist()
-        (True, [0.9, 1.0, 1.3, 1.7, 1.9, 2.0])
+        >>> modes: Modes = linearize(load("stewart")).modes()
+        >>> print(modes.frequencies.round(1))  # Hz
+        [0.9 1.  1.3 1.7 1.9 2. ]
     """
 
     eigenvalues: Array
@@ -96,9 +96,14 @@ class LinearModel:
             the coordinates, world frame.
 
     Examples:
-        >>> model = linearize(load("tracker"))
-        >>> isinstance(model, LinearModel), model.coordinates, model.A.shape
-        (True, ('slide_12', 'slide_13'), (4, 4))
+        >>> model: LinearModel = linearize(load("tracker"))
+        >>> print(model.coordinates)
+        ('slide_12', 'slide_13')
+        >>> print(model.A.round(1) + 0.0)  # the lower rows are the accelerations
+        [[  0.    0.    1.    0. ]
+         [  0.    0.    0.    1. ]
+         [103.1  29.4  -8.    3.5]
+         [ 57.5 -76.6   2.8 -36.1]]
     """
 
     scene: str

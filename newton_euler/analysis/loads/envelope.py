@@ -54,9 +54,9 @@ class LoadRange:
 
     Examples:
         >>> scene = load("pendulum")
-        >>> found = load_envelope(scene, simulate(scene)).of("pivot", "shear force")
-        >>> isinstance(found, LoadRange), found.unit, round(found.peak, 2), found.governing[0]
-        (True, 'N', 39.24, 'run')
+        >>> shear: LoadRange = load_envelope(scene, {"swing": simulate(scene)}).of("pivot", "shear force")
+        >>> print(round(shear.peak, 2), shear.unit, shear.governing)  # the case, and the time in s
+        39.24 N ('swing', 2.96)
     """
 
     element: str
@@ -95,11 +95,13 @@ class LoadEnvelope:
 
     Examples:
         >>> scene = load("pendulum")
-        >>> envelope = load_envelope(scene, {"swing": simulate(scene)})
-        >>> isinstance(envelope, LoadEnvelope), envelope.cases
-        (True, ('swing',))
-        >>> round(envelope.of("pivot", "force").peak, 2)  # N
-        39.24
+        >>> envelope: LoadEnvelope = load_envelope(scene, {"swing": simulate(scene)})
+        >>> for each in envelope.joints[:4]:
+        ...     print(each.element, each.quantity, round(each.minimum, 2), round(each.maximum, 2), each.unit)
+        pivot force x -14.71 14.71 N
+        pivot force y 9.81 39.24 N
+        pivot force z 0.0 0.0 N
+        pivot force 9.81 39.24 N
     """
 
     cases: tuple[str, ...]
@@ -136,20 +138,13 @@ class LoadEnvelope:
 def load_envelope(scene: Scene, runs: Trajectory | Mapping[str, Trajectory]) -> LoadEnvelope:
     """Compute the ranges of the loads of joints and actuators over runs.
 
-    Loads of a joint are the reactions on its second body, with torques about the joint point:
-
-    - `force x`, `force y`, `force z` and `torque x`, ... along the world's axes, `force` and `torque` their
-      magnitudes;
-    - for a joint with one axis or parallel axes: `axial force` and `axial torque` along the (first) axis,
-      `shear force` and `bending torque` perpendicular to it, and their components `force u`, `force w`,
-      `torque u`, `torque w`. Axes u, w and the joint's axis form a right-handed frame that turns with the
-      first body.
+    Loads of a joint are the reactions on its second body, with torques about the joint point. Their names,
+    such as `force`, `shear force` and `bending torque`, are the values of `LoadRange.quantity`.
 
     Values between output times are not examined. Control laws and prescribed motions are actuators. An
-    actuator has the name of its joint coordinate, and these loads: `actuator force` (N or N m), `speed` (m/s
-    or rad/s), `power` (W), and `work` and `energy` (J) up to each time, see `work_and_energy`. The force of a
-    control law is not part of a joint's load. The force of a prescribed motion is the axial load of its
-    joint, so that joints with axes that are not parallel have no such actuator.
+    actuator has the name of its joint coordinate, and the loads `actuator force`, `speed`, `power`, `work`
+    and `energy`. The force of a control law is not part of a joint's load. The force of a prescribed motion
+    is the axial load of its joint, so that joints with axes that are not parallel have no such actuator.
 
     Args:
         scene: the mechanism and its control laws.

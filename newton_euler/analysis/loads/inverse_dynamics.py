@@ -40,13 +40,12 @@ class Loads:
         joint_names: names (j,) of the joints of the reactions.
         actuator_force: (n, a) N or N m.
         reaction_force, reaction_torque: (n, j, 3) N and N m, on the second body of each joint, the torque
-            about its joint point, world frame. If constraints are redundant, reactions are not unique, see
-            `newton_euler.equations.reactions`.
+            about its joint point, world frame. If constraints are redundant, reactions are not unique.
 
     Examples:
-        >>> held = statics(load("tracker_gravity"))
-        >>> isinstance(held, Loads), held.actuator_force.shape, held.beyond
-        (True, (2,), array(False))
+        >>> held: Loads = statics(load("tracker_gravity"))
+        >>> print(held.actuators, held.actuator_force.round(2), "N")
+        ('slide_12', 'slide_13') [7.06 5.77] N
     """
 
     actuators: tuple[str | Key, ...]
@@ -113,8 +112,8 @@ def inverse_dynamics(
         >>> scene = load("tracker")
         >>> run = simulate(scene)
         >>> found = inverse_dynamics(scene, run, {"slide_12": 0.0, "slide_13": np.zeros(len(run.time))})
-        >>> found.actuators, found.actuator_force.shape
-        (('slide_12', 'slide_13'), (501, 2))
+        >>> print(found.actuators, abs(found.actuator_force).max(axis=0).round(3), "N")
+        ('slide_12', 'slide_13') [0.235 0.014] N
     """
     for friction in loaded_frictions(scene):  # depends on the reactions, which the unknown forces change
         value = f"load_coefficient is {float(friction.load_coefficient):g}"

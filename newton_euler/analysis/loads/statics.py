@@ -59,8 +59,9 @@ def statics(
 
     Examples:
         >>> held = statics(load("tracker_gravity"))
-        >>> held.actuators, held.reaction_force.shape
-        (('slide_12', 'slide_13'), (8, 3))
+        >>> ball = held.joint_names.index("ball_67")
+        >>> print(held.actuator_force.round(2), held.reaction_force[ball].round(2))  # N
+        [7.06 5.77] [ 1.56 -2.48  4.66]
     """
     scene = scene.with_rigid_gears.with_unloaded_friction
     # states at rest, with prescribed motions that hold their coordinates

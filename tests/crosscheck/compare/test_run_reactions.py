@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from mechanisms import pendulum
 
-from crosscheck.compare.accelerations import SOFTNESS
 from crosscheck.compare.check import REACTIONS
 from crosscheck.compare.crosscheck import crosscheck
 from crosscheck.compare.outcome import Outcome
 from crosscheck.compare.runs import compare_runs
 from crosscheck.engines.engine import FORCE_OUTPUTS, no_systems
+from crosscheck.engines.mujoco import FORCE_ERROR
 from crosscheck.engines.registry import ENGINES, SOLVER
 from crosscheck.library import load
 from newton_euler import simulate
@@ -141,8 +141,8 @@ def test_what_redundant_constraints_leave_open_is_not_compared():
 def test_soft_constraints_have_an_error_of_their_own():
     scene, mujoco = replace(load("slider_crank"), duration=0.1), ENGINES["mujoco"]
     force, torque = reaction_checks(scene, bare(), mujoco)
-    assert force.tolerance == torque.tolerance == pytest.approx(SOFTNESS, rel=1e-5)
-    assert 1e-6 < force.value < SOFTNESS
+    assert force.tolerance == torque.tolerance == pytest.approx(FORCE_ERROR, rel=1e-5)
+    assert 1e-6 < force.value < FORCE_ERROR
     assert torque.agrees
 
 

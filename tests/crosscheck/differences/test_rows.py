@@ -339,7 +339,7 @@ PLANTS: dict[str, Plant] = {
     "part added": Plant(
         "arm",
         lambda r: replace(r, bodies=(*r.bodies, body("logo", 2, [0.1, 0, 0.1], [], 0.001, [0, 0, 0]))),
-        (Row("fore", Q.MASS, 0.001 / 1.5, "logo (0.001 kg) only in the second file"),),
+        (Row("fore", Q.MASS, 0.001 / 1.5, "logo (0.001 kg) only in the second robot"),),
     ),
     "masses in g": Plant(
         "arm",
@@ -391,7 +391,7 @@ PLANTS: dict[str, Plant] = {
                 "left_hip_roll",
                 Q.ARMATURE,
                 1.0,
-                "only in one file",
+                "only in one robot",
                 6,
             ),
         ),
@@ -399,7 +399,7 @@ PLANTS: dict[str, Plant] = {
     "no damping": Plant(
         "arm",
         lambda r: with_every_joint(r, damping=0.0),
-        (Row("yaw", Q.DAMPING, 1.0, "only in one file", 4),),
+        (Row("yaw", Q.DAMPING, 1.0, "only in one robot", 4),),
     ),
     "knees weaker": Plant(
         "walker",

@@ -54,6 +54,7 @@ ROTORS = ball_scenes.SCENES | {
 """Scenes with rotors, and with springs of Drake's own, on hinges, slides and balls."""
 
 
+@pytest.mark.slow  # CI runs `crosscheck engine-check` with this engine, too
 class TestContract(EngineConformance):
     engine = ENGINE
 
@@ -172,8 +173,18 @@ def test_an_error_of_drake_is_one_of_the_equations():
         "cord", "ground", scene.mechanism.body_names[1], point, point, stiffness=1.0, rest_length=0.1
     )
     system = DrakeSystem(replace(scene, forces=(spring,)))
-    with pytest.raises(SingularityError, match="Drake"):
+    with pytest.raises(SingularityError, match="Drake") as caught:
         system.acceleration(*system.coordinates(initial_state(scene)))
+    assert caught.value.joint is None
+
+
+def test_a_state_that_is_not_finite_is_attributed_to_no_joint():
+    system = DrakeSystem(pendulum())
+    q, _ = system.coordinates(initial_state(system.scene))
+    with pytest.raises(SingularityError) as caught:
+        system.acceleration(q, np.full(system.nv, np.nan))
+    assert caught.value.joint is None
+    assert "joint" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

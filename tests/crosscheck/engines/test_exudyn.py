@@ -13,9 +13,13 @@ from overconstrained import centers, linkage
 
 pytest.importorskip("exudyn")
 
-from crosscheck.engines.exudyn import ENGINE
+import exudyn
+
+from crosscheck.engines.applied import coordinate_load
+from crosscheck.engines.exudyn import ENGINE, MAX_HALVINGS
+from crosscheck.engines.exudyn import model as adapter
 from crosscheck.engines.exudyn.equations import ExudynSystem
-from crosscheck.engines.exudyn.run import integrals
+from crosscheck.engines.exudyn.run import Run, integrals
 from crosscheck.engines.exudyn.running import IndependentRows, RunningSystem
 from crosscheck.engines.exudyn.simulate import simulate
 from crosscheck.engines.limits import CannotExpressError
@@ -52,6 +56,7 @@ FAST_ELEMENTS = ("planar", "rods", "screw", "gear, cut", "motions of a tree", "f
 """Elements whose equations are compared in the fast tests."""
 
 
+@pytest.mark.slow  # CI runs `crosscheck engine-check` with this engine, too
 class TestContract(EngineConformance):
     engine = ENGINE
 
@@ -96,6 +101,26 @@ def test_equations_of_the_other_elements(name):
             ExudynSystem(scene)
     else:
         assert failures(scene, ExudynSystem(scene)) == []
+
+
+def test_a_state_that_is_not_finite_is_attributed_to_no_joint():
+    system = ExudynSystem(pendulum())
+    q, _ = system.coordinates(initial_state(system.scene))
+    with pytest.raises(SingularityError) as caught:
+        system.acceleration(q, np.full(system.nv, np.nan))
+    assert caught.value.joint is None
+
+
+def test_the_potential_energy_is_that_of_exudyns_masses_and_gravity():
+    system = ExudynSystem(pendulum(angle=0.3))
+    mbs, (_, rod), (load,) = system.model.mbs, system.model.bodies, system.model.weights
+    at_start = system.coordinates(initial_state(system.scene))
+    right = system.observe(*at_start).potential_energy
+    assert right == pytest.approx(-1.0 * 9.81 * 0.5 * np.cos(0.3))  # -m g h of a rod of 1 kg and 1 m
+    mbs.SetObjectParameter(rod, "mass", 3.0)
+    assert system.observe(*at_start).potential_energy == pytest.approx(3.0 * right)
+    mbs.SetLoadParameter(load, "loadVector", [0.0, 0.0, -1.62])
+    assert system.observe(*at_start).potential_energy == pytest.approx(3.0 * right * 1.62 / 9.81)
 
 
 def compound(**motions) -> Scene:
@@ -313,9 +338,10 @@ def test_a_run_that_stops_has_its_outputs():
 
 @pytest.mark.parametrize("time", [0.0, 0.25])
 def test_singular_equations_at_a_sample_stop_the_run_there(time, monkeypatch):
-    solve = RunningSystem.solve
+    solve, starts = RunningSystem.solve, []
 
     def singular(system, q, v):
+        starts.extend([0.0] * (system.time == 0.0))
         if system.time >= time:
             raise SingularityError("hinge", "planted")
         return solve(system, q, v)
@@ -323,7 +349,8 @@ def test_singular_equations_at_a_sample_stop_the_run_there(time, monkeypatch):
     monkeypatch.setattr(RunningSystem, "solve", singular)
     law = Sampled("hinge", lambda time, x, rate: 0.0, period=0.05)
     with pytest.raises(IntegrationError) as caught:
-        ENGINE.simulate(driven_swing(law))  # also with the shortest step
+        ENGINE.simulate(driven_swing(law))
+    assert len(starts) == (MAX_HALVINGS + 1 if time else 1)  # no step mends a start
     assert caught.value.time == pytest.approx(time)
     assert "planted" in caught.value.reason
     if time:
@@ -357,22 +384,56 @@ def test_singular_equations_of_the_solver_are_reported(monkeypatch):
         assert part in caught.value.reason
 
 
-def test_errors_of_laws_within_steps_stop_the_run(monkeypatch):
-    def fails(system, multipliers):
-        if system.time > 0.2:
-            raise ValueError("no power")
-        return 0.0
+def follower() -> Scene:
+    """A bar whose control law is evaluated in Python, because its set-point is a function of time."""
+    return driven_swing(PD("hinge", 8.0, 0.5, Sine(0.6, 1.0)))
 
-    monkeypatch.setattr(RunningSystem, "power", fails)
+
+def raise_in_forces(monkeypatch, error, after=0.0) -> None:
+    """Raise an error in the Python functions of forces that Exudyn calls from a time, s, on."""
+
+    def load(element, motions, time, given):
+        if time >= after:
+            raise error
+        return coordinate_load(element, motions, time, given)
+
+    monkeypatch.setattr(adapter, "coordinate_load", load)
+
+
+@pytest.fixture
+def runs(monkeypatch) -> list[Run]:
+    """Collect the runs of Exudyn's solver."""
+    found, start = [], Run.__init__
+
+    def recorded(run, *arguments):
+        found.append(run)
+        start(run, *arguments)
+
+    monkeypatch.setattr(Run, "__init__", recorded)
+    return found
+
+
+def test_other_errors_of_forces_stop_the_run(monkeypatch, runs):
+    raise_in_forces(monkeypatch, ValueError("no power"), after=0.2005)
     with pytest.raises(IntegrationError) as caught:
-        simulate(driven_swing(PD("hinge", 8.0, 0.5, 0.6)))
-    assert caught.value.time == pytest.approx(0.201)
-    assert "no power" in caught.value.reason
+        ENGINE.simulate(follower())
+    assert caught.value.time == pytest.approx(0.2)
+    for part in ("ValueError: no power", "an error of Exudyn or of its adapter"):
+        assert part in caught.value.reason
     assert caught.value.partial is not None
     np.testing.assert_allclose(caught.value.partial.time, [0.0, 0.1, 0.2])
+    assert len(runs) == 1  # a shorter step cannot help
 
 
-def test_an_interrupt_within_a_step_stays_an_interrupt(monkeypatch):
+@pytest.mark.parametrize("after", [0.0, 0.2])
+def test_an_interrupt_within_a_force_stays_an_interrupt(after, monkeypatch, runs):
+    raise_in_forces(monkeypatch, KeyboardInterrupt(), after)
+    with pytest.raises(KeyboardInterrupt):
+        ENGINE.simulate(follower())
+    assert len(runs) == 1
+
+
+def test_an_interrupt_after_a_step_stays_an_interrupt(monkeypatch):
     def interrupted(system, multipliers):
         if system.time > 0.2:
             raise KeyboardInterrupt
@@ -381,6 +442,48 @@ def test_an_interrupt_within_a_step_stays_an_interrupt(monkeypatch):
     monkeypatch.setattr(RunningSystem, "power", interrupted)
     with pytest.raises(KeyboardInterrupt):
         simulate(driven_swing(PD("hinge", 8.0, 0.5, 0.6)))
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), SingularityError("hinge", "planted")])
+def test_errors_of_forces_in_the_equations_stay_themselves(error, monkeypatch):
+    raise_in_forces(monkeypatch, error)
+    system = ExudynSystem(follower())
+    with pytest.raises(type(error)) as caught:
+        system.acceleration(*system.coordinates(initial_state(system.scene)))
+    assert caught.value is error
+    chain = list[BaseException | None]([error])
+    while chain[-1] is not None:  # as `short_of_memory` follows causes
+        chain.append(chain[-1].__cause__ or chain[-1].__context__)
+        assert len(chain) < 10
+
+
+@pytest.mark.parametrize("error", [SingularityError("hinge", "planted"), OverflowError("planted")])
+def test_iterates_without_forces_are_avoided_by_shorter_steps(error, monkeypatch, runs):
+    """A force that has no value at the iterates of the first run only."""
+
+    def load(element, motions, time, given):
+        if time > 0.2 and len(runs) == 1:
+            raise error
+        return coordinate_load(element, motions, time, given)
+
+    monkeypatch.setattr(adapter, "coordinate_load", load)
+    run = ENGINE.simulate(follower())
+    assert run.settings["step"] <= 0.5e-3
+    assert len(run.time) == len(follower().times)
+    assert len(runs) >= 2
+
+
+def test_a_controller_that_fails_is_not_called_in_further_runs(runs):
+    calls = []
+
+    def controller(time, x, rate):
+        calls.append(time)
+        raise ValueError("no more")
+
+    with pytest.raises(IntegrationError, match="no more"):
+        ENGINE.simulate(driven_swing(Sampled("hinge", controller, period=0.05)))
+    assert calls == [0.0]
+    assert len(runs) == 1
 
 
 def test_work_is_integrated_with_order_four():
@@ -393,9 +496,14 @@ def test_work_is_integrated_with_order_four():
     np.testing.assert_allclose(integrals(np.zeros(1), np.ones(1)), [0.0])
 
 
-def test_runs_print_nothing(capfd):
+def test_runs_print_nothing_and_leave_the_settings_of_messages(capfd):
     ENGINE.simulate(replace(load("four_bar"), duration=0.1))
+    with pytest.raises(IntegrationError):
+        simulate(load("andrews"), step=5e-3)
     assert capfd.readouterr() == ("", "")
+    # Exudyn's defaults, on which models depend that the user builds in Exudyn
+    assert exudyn.config.printToConsole
+    assert not exudyn.config.suppressWarnings
 
 
 def test_an_unequal_last_interval():

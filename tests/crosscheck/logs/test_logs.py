@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import crosscheck
+import newton_euler
 from crosscheck.compare.activity import acting_events, watched
 from crosscheck.library import load
 from crosscheck.loading.load import load_scene
@@ -25,10 +26,24 @@ from crosscheck.own_run.allowed import AllowedError, ErrorKind, length
 from crosscheck.own_run.errors import Band, LoopError
 from crosscheck.report.log import log_lines
 from crosscheck.report.own_run import percent
-from newton_euler import PD, Body, Mechanism, Polynomial, Revolute, Scene, Sine, Sum, simulate
+from newton_euler import (
+    PD,
+    Armature,
+    Body,
+    JointFriction,
+    JointSpring,
+    Mechanism,
+    Polynomial,
+    Revolute,
+    Scene,
+    Sine,
+    Sum,
+    simulate,
+)
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.source_file import SourceError
 from newton_euler.model.trajectory import IntegrationError
+from newton_euler.reading.file_run import Event
 
 FOUR_BAR = """<mujoco><option timestep="{step}" integrator="{integrator}"/>
   <default><equality solref="{softness} 1"/></default><worldbody>
@@ -694,6 +709,23 @@ def test_numbers_that_end_are_a_run_that_diverged(four_bar, columns, value):
     assert found.error.position_at[1] < 0.2
 
 
+@pytest.mark.parametrize("value", [np.inf, 1e12])
+def test_rates_that_become_too_large_are_a_run_that_diverged(four_bar, value):
+    """Angles that a simulator wraps stay small."""
+    rates = broken_off({name: four_bar[3][name] for name in ("time", "motor_vel")}, 40, value)
+    found = judged(four_bar, four_bar[3] | rates)
+    assert (found.rows, found.dropped) == (40, 0)
+    assert "after 0.195 s" in found.stopped
+    assert found.band is Band.WRONG
+
+
+def test_long_logs_state_which_rows_are_compared(four_bar, monkeypatch):
+    monkeypatch.setattr(reading, "MAX_ROWS", 50)
+    found = judged(four_bar, four_bar[3])
+    assert (found.rows, found.stride) == (34, 3)
+    assert "34 rows (1 of 3 is compared)" in log_lines(found).lines[1]
+
+
 def test_a_file_with_empty_cells_at_its_end_is_a_run_that_diverged(four_bar, tmp_path):
     rows = ["time,motor,elbow,pivot"]
     for k in range(101):
@@ -1022,3 +1054,66 @@ def test_a_column_without_a_name_is_called_so(four_bar):
 def test_a_log_of_one_row_has_a_singular():
     with pytest.raises(SourceError, match="log: has 1 row; needed: 3 or more"):
         read_table({"time": [0.0], "motor": [0.0]})
+
+
+def swing(damping=0.4, gravity=9.81, stiffness=2.0, rotor=0.05, friction=0.3):
+    """A rod on a hinge with a spring, a damper, dry friction and a rotor, released from horizontal."""
+    rod = Body("rod", 1.0, [0.5, 0.0, 0.0], np.diag([0.001, 0.1, 0.1]))
+    hinge = Revolute("hinge", "ground", "rod", [0.0, 0.0, 0.0], axis=[0.0, 1.0, 0.0])
+    return Scene(
+        "swing",
+        Mechanism([Body.ground(), rod], [hinge]),
+        duration=1.0,
+        output_period=0.01,
+        gravity=(0.0, 0.0, -gravity),
+        forces=[
+            JointSpring("hinge", stiffness=stiffness, damping=damping),
+            *([JointFriction("hinge", coulomb=friction, transition_speed=0.1)] if friction else []),
+        ],
+        armatures=[Armature("hinge", rotor)] if rotor else [],
+    )
+
+
+DAMPING, STIFFNESS = "damping of joint 'hinge'", "stiffness of joint 'hinge'"
+ROTOR = "armature of joint 'hinge'"
+
+
+@pytest.mark.parametrize(
+    ("changed", "lacks"),
+    [
+        ({"damping": 0.0}, (DAMPING,)),
+        ({"stiffness": 0.0}, (STIFFNESS,)),
+        ({"rotor": 0.0}, (ROTOR,)),
+        ({"damping": 0.0, "stiffness": 0.0, "rotor": 0.0}, (DAMPING, STIFFNESS, ROTOR)),
+        ({"friction": 0.0}, ("friction of joint 'hinge'",)),
+        ({"gravity": 0.0}, ("gravity",)),
+        ({"damping": 0.3}, None),
+        ({}, None),
+    ],
+)
+def test_elements_that_the_simulation_of_a_log_lacks(changed, lacks):
+    moving = newton_euler.start(swing(**changed), hinge=(0.0, 1.0))  # rad, rad/s
+    run = simulate(moving).joint("hinge")
+    table = {"time": moving.times, "hinge": run.coordinates[:, 0], "hinge_vel": run.rates[:, 0]}
+    found = judge_log(swing(), None, "log", Log(table))
+    assert (found.lack and found.lack.elements) == lacks
+    if lacks:
+        assert found.lack.before == found.error
+        assert found.lack.after.relative < 1e-6
+        (note,) = (line for line in log_lines(found).lines if "may lack" in line)
+        assert lacks[0] in note
+
+
+def test_lacks_are_sought_until_something_acts_that_the_reference_does_not_have():
+    """From 0.5 s on the log rests, as at a limit; before, it has no damping."""
+    moving = newton_euler.start(swing(damping=0.0), hinge=(0.0, 1.0))
+    run = simulate(moving).joint("hinge")
+    coordinates, rates = run.coordinates[:, 0].copy(), run.rates[:, 0].copy()
+    coordinates[50:], rates[50:] = coordinates[50], 0.0
+    table = {"time": moving.times, "hinge": coordinates, "hinge_vel": rates}
+    limit = Event(0.495, "limits of joint 'hinge'")
+    found = judge_log(swing(), None, "log", Log(table), watch=lambda scene, run, data: (limit,))
+    assert found.lack is not None
+    assert found.lack.elements == (DAMPING,)
+    assert found.lack.before == found.error
+    assert found.lack.after.relative < 1e-6

@@ -340,3 +340,32 @@ def test_invalid_settings(tmp_path, text, message):
     path = written(tmp_path, LINK.format(kind="revolute", axis="0 1 0", arm=0.5, damping=0))
     with pytest.raises(NewtonEulerError, match="^" + message.replace("[", r"\[")):
         load_scene(str(path), {"own_run": text})
+
+
+def test_run_inputs_have_the_start_that_crosscheck_adds(tmp_path):
+    text = LINK.format(kind="revolute", axis="0 1 0", arm=0.5, damping=0)
+    found = judged(written(tmp_path, text), loop_settings(RK4), excited=True)
+    model, step = pin.buildModelFromXML(text), 1e-4  # too small to matter
+
+    def end(v):
+        """Simulate from the recorded q with semi-implicit steps, and return the body's center."""
+        data, q = model.createData(), np.array(found.run_inputs["q"])
+        for _ in range(round(found.reference.time[-1] / step)):
+            v = v + step * pin.aba(model, data, q, v, np.zeros(1))
+            q = pin.integrate(model, q, step * v)
+        pin.forwardKinematics(model, data, q)
+        return data.oMi[1].act(model.inertias[1].lever)
+
+    center = found.reference.position[-1, found.reference.body_names.index("body")]
+    assert np.linalg.norm(end(np.array(found.run_inputs["v"])) - center) < 1e-3
+    assert np.linalg.norm(end(np.zeros(1)) - center) > 0.01
+
+
+def test_a_run_that_has_left_the_motion_has_no_sum_of_causes(tmp_path):
+    """Explicit Euler adds energy to a pendulum until it turns over."""
+    path = written(tmp_path, LINK.format(kind="revolute", axis="0 1 0", arm=0.5, damping=0))
+    found = judged(path, {**loop_settings(EXPLICIT, 0.05), "duration": "5"})
+    assert found.error.relative > 1.0
+    lines = own_run_lines(found)[0].lines
+    cause = next(number for number, line in enumerate(lines) if line.startswith("  cause"))
+    assert "judge a shorter duration" in lines[cause + 1]

@@ -220,10 +220,13 @@ def test_the_settings_of_a_urdf_are_found_and_can_be_given(tmp_path):
         '<robot name="arm"><link name="ground"/><link name="body"><inertial><origin xyz="0.3 0 0"/>'
         '<mass value="2"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
         '<joint name="joint" type="continuous"><parent link="ground"/><child link="body"/><axis xyz="0 1 0"/>'
-        "</joint></robot>"
+        '<dynamics damping="0.1"/></joint></robot>'
     )
     _, simulation = loaded(path)
-    found = search_settings(simulation, relative(1e-6)).found
+    search = search_settings(simulation, relative(1e-6))
+    assert [need.elements for need in search.needs] == [("damping of joint 'joint'",)]
+    assert any("damping of joint 'joint'" in str(part) for part in search_report("arm", search).parts)
+    found = search.found
     assert found is not None
     (tmp_path / "own.yaml").write_text(found.fragment)
     _, again = loaded(path, own_run=str(tmp_path / "own.yaml"))

@@ -342,7 +342,8 @@ def test_loop_errors_are_those_of_the_judged_window(tmp_path):
     assert second.lines[0].startswith("without limits of joint 'pivot'  ")
     # JSON, plots and the ghost end with the comparison
     summary = found.summary()
-    assert summary["error_over_time"]["time"] == found.run.time.tolist() == found.reference.time.tolist()
+    assert summary["error_over_time"]["time"] == found.run.time.tolist()
+    np.testing.assert_allclose(found.reference.time, found.run.time, rtol=1e-14)  # MuJoCo adds up its steps
     assert summary["error_over_time"]["time"][-1] < found.until
     assert summary["without"]["relative"] == found.without.error.relative
 

@@ -227,10 +227,17 @@ def test_what_is_cheaper_is_reported_in_every_format(capsys, tmp_path, guarded, 
     assert name in output.text
     assert list(tmp_path.glob("out/*.rrd")) == []
 
-    cheaper = baseline.model_copy(deep=True)
-    cheaper.find("relative", name).value[0][0] = 0.5 * cost
-    stored.write_text(cheaper.text())
-    assert run(capsys, "regress", model, "--output", "out")[0] == 1
+    assert "Store the improvement" in json.dumps(content["report"])
+
+    # dearer and cheaper at once: the failing check decides about the baseline
+    both = baseline.model_copy(deep=True)
+    both.find("relative", name).value[0][0] = 0.5 * cost
+    both.find("cartesian", name).value[0][0] *= 2.0
+    stored.write_text(both.text())
+    status, out, _ = run(capsys, "regress", model, "--output", "out")
+    assert status == 1
+    assert "If the change is intended" in out
+    assert "Store the improvement" not in out
 
 
 # A scene against its baseline

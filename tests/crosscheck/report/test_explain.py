@@ -170,15 +170,24 @@ def test_the_command_lists_all_names_and_explains_one(capsys):
 
 
 @pytest.mark.parametrize("topic", TOPICS)
-def test_pages_have_a_heading_or_a_row_for_each_name(topic):
+def test_pages_have_a_heading_or_a_row_with_an_anchor_for_each_name(topic):
     lines = "\n".join(explanation_markdown(topic)).split("\n")
-    headings = [line.removeprefix("### ") for line in lines if line.startswith("### ")]
-    rows = [line for line in lines if line.startswith("| ")]
-    named = [
-        row.split(" | ")[0].removeprefix("| ") for row in rows if not row.startswith("| name | meaning |")
-    ]
-    assert (named or headings) == names(topic)
-    assert len({row.count("|") for row in rows}) <= 1
+    rows = [line for line in lines if line.startswith("| [")]
+    cells = [re.match(r"\| \[(.+?)\]\(#(\S+)\)\{ #(\S+) \} \| \S", row) for row in rows]
+    groups = {each.group for each in read_topic(topic).explanations} - {""}
+    headings = [line.lstrip("# ") for line in lines if line.startswith("###")]
+    assert [cell and cell[1] for cell in cells] + [each for each in headings if each not in groups] == names(
+        topic
+    )
+    assert groups <= set(headings)
+    assert all(cell and cell[2] == cell[3] for cell in cells)
+    assert len({cell and cell[2] for cell in cells}) == len(rows)
+
+
+def test_what_a_group_has_in_common_is_printed_for_each_name(capsys):
+    _, out, _ = run(capsys, "explain", "condim")
+    assert "Dimension of the contacts" in out
+    assert "not simulated" in out
 
 
 def test_each_topic_is_on_one_page():

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
@@ -12,12 +14,12 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from command_line import run
-from contract_points import sections, sections_of_page
+from contract_points import PAGE, sections, sections_of_page
 
 from crosscheck.engines.engine import NO_SETTINGS, Engine
 from crosscheck.engines.limits import CannotExpressError, Limit
 from crosscheck.engines.registry import ENGINES, SOLVER
-from crosscheck.studies.conformance import scenes
+from crosscheck.studies.conformance import element_scenes, scenes
 from crosscheck.studies.conformance.candidate import Candidate
 from crosscheck.studies.conformance.check import (
     POINTS,
@@ -29,22 +31,30 @@ from crosscheck.studies.conformance.check import (
     explained,
 )
 from crosscheck.studies.conformance.closed_forms import (
+    braked_motion,
     flight,
+    guided_motion,
     jump_response,
+    rotor_slide,
     sampled_motion,
     slide,
+    spring_response,
     steady_turn,
 )
 from crosscheck.studies.conformance.differences import first_difference
 from crosscheck.studies.conformance_tests import EngineConformance
 from crosscheck.studies.faults import injection
+from newton_euler.equations.system import System
 from newton_euler.errors import NewtonEulerError
+from newton_euler.limits import changed as limits_changed
 from newton_euler.model.control import PD
 from newton_euler.model.digital_control import Sampled
 from newton_euler.model.euler_parameters import conjugate, product, rotation, rotations
 from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.scene import ELEMENT_KINDS
 from newton_euler.model.splines import Steps
 from newton_euler.model.trajectory import IntegrationError, StoppedError, Trajectory
+from newton_euler.runs.assemble import initial_state
 from newton_euler.runs.simulate import simulate
 
 
@@ -69,6 +79,10 @@ class TestNewtonEuler(EngineConformance):
         (scenes.floating, flight),
         (scenes.jumping, jump_response),
         (scenes.sampled, sampled_motion),
+        (element_scenes.sprung_slide, spring_response),
+        (element_scenes.braked_slide, braked_motion),
+        (element_scenes.guided_slide, guided_motion),
+        (element_scenes.armed_slide, rotor_slide),
     ],
 )
 def test_closed_forms_are_exact(scene, closed_form):
@@ -77,8 +91,15 @@ def test_closed_forms_are_exact(scene, closed_form):
 
 
 def test_scenes_have_names_of_their_own():
-    names = [construct().name for construct in (*scenes.SCENES, scenes.stopping)]
+    names = [construct().name for construct in (*element_scenes.SCENES, scenes.stopping)]
     assert len(set(names)) == len(names)
+
+
+def test_each_kind_of_force_motion_and_rotor_is_in_a_scene():
+    found = [construct() for construct in element_scenes.SCENES]
+    elements = {type(each) for scene in found for each in (*scene.forces, *scene.motions, *scene.armatures)}
+    kinds = {kind for name in ("forces", "motions", "armatures") for kind in ELEMENT_KINDS[name]}
+    assert elements == kinds
 
 
 @cache
@@ -87,13 +108,19 @@ def right(scene) -> Trajectory:
     return SOLVER.simulate(scene)
 
 
+@cache
+def equations(scene) -> tuple[System, ...]:
+    """Newton_euler's equations of a scene in one formulation, which the tests share."""
+    return SOLVER.systems(scene)[:1]
+
+
 def simulating(function: Callable, with_settings: Callable = SOLVER.simulate) -> Engine:
     """Newton_euler with another function for runs without settings, and for those with settings."""
 
     def simulated(scene, settings=NO_SETTINGS):
         return with_settings(scene, settings) if settings else function(scene)
 
-    return replace(SOLVER, name="wrong", simulate=simulated)
+    return replace(SOLVER, name="wrong", simulate=simulated, systems=equations)
 
 
 BASE = simulating(right)
@@ -251,6 +278,87 @@ def ignoring(scene, settings):
     return SOLVER.simulate(scene, known) if known else right(scene)
 
 
+def later_rows(factor: float) -> Callable[[np.ndarray], np.ndarray]:
+    """A change of an array: all rows after the first one are multiplied."""
+
+    def changed(values):
+        later = factor * values
+        later[0] = values[0]
+        return later
+
+    return changed
+
+
+def without_measured_drift(found):
+    """A run whose bodies drift apart by 0.01 mm, and that reports no violation."""
+    drift = np.zeros_like(found.position)
+    drift[1:, -1] = 1e-5
+    return replace(
+        found,
+        position=found.position + drift,
+        constraint_violation=np.zeros_like(found.constraint_violation),
+    )
+
+
+def with_forces(**values) -> Callable:
+    """A change of a scene: other values of attributes of its forces."""
+    return lambda scene: replace(scene, forces=[replace(force, **values) for force in scene.forces])
+
+
+def without(*names: str) -> Callable:
+    """A change of a scene: none of its elements of some kinds, by the names of the scene's fields."""
+    return lambda scene: replace(scene, **dict.fromkeys(names, ()))
+
+
+def with_rotor_in_body(scene):
+    """The rotor's inertia as mass of the body, which has weight."""
+    bar = scene.mechanism.bodies[1]
+    heavier = replace(bar, mass=bar.mass + element_scenes.SLIDE_ROTOR)
+    mechanism = Mechanism([scene.mechanism.bodies[0], heavier], scene.mechanism.joints)
+    return replace(scene, mechanism=mechanism, armatures=())
+
+
+def with_exchanged_axes(scene):
+    """The axes of a universal joint are exchanged; the initial state is the same."""
+    (joint,) = scene.mechanism.joints
+    axes = {"axis_on_first": joint.axis_on_second, "axis_on_second": joint.axis_on_first}
+    return with_parts(scene, [replace(joint, **axes)], ())
+
+
+def with_pitch_per_revolution(scene):
+    """The pitch of a screw is per revolution; the body starts to turn at the same rate."""
+    (joint,) = scene.mechanism.joints
+    state, pitch = deepcopy(initial_state(scene)), joint.pitch / (2.0 * np.pi)
+    state.linear_velocity[1] += (pitch - joint.pitch) * state.angular_velocity[1]
+    return replace(with_parts(scene, [replace(joint, pitch=pitch)], ()), initial_state=state)
+
+
+def with_error(name: str, scene_name: str, error: float) -> Engine:
+    """Newton_euler with a relative error of an array in the default run and the refined run of a scene."""
+
+    def wrong(found):
+        return replace(found, **{name: (1.0 + error) * getattr(found, name)})
+
+    def refined(scene):
+        return wrong(SOLVER.refined(scene)) if scene.name == scene_name else SOLVER.refined(scene)
+
+    return replace(changing(wrong, scene_name), refined=refined, refined_in_full=None)
+
+
+def with_equations(scene_name: str, change: Callable) -> Engine:
+    """Newton_euler with the equations of another scene in place of a scene with a name."""
+    return replace(
+        BASE, systems=lambda scene: equations(change(scene) if scene.name == scene_name else scene)
+    )
+
+
+def with_ratio(ratio: float) -> Callable:
+    """A change of a scene: another ratio of its gear."""
+    return lambda scene: with_parts(
+        scene, scene.mechanism.joints, [replace(gear, ratio=ratio) for gear in scene.mechanism.couplings]
+    )
+
+
 LIMIT = Limit("body 'bar'", "bars are not expressed")
 
 
@@ -269,7 +377,9 @@ class Wrong(NamedTuple):
 
 
 WRONG = {
-    "starts at rest": Wrong("start", changing(arrays(linear_velocity=at_first_row), "swing")),
+    "starts at rest": Wrong(
+        "start", changing(arrays(linear_velocity=at_first_row), "swing"), frozenset({"motion"})
+    ),
     "quaternions of norm 2": Wrong(
         "quaternion_order", changing(arrays(quaternion=lambda q: 2.0 * q), "swing")
     ),
@@ -278,7 +388,9 @@ WRONG = {
         changing(arrays(quaternion=lambda q: np.roll(q, -1, axis=2)), "swing"),
         frozenset({"motion"}),
     ),
-    "no violation": Wrong("outputs", changing(arrays(constraint_violation=lambda _: None))),
+    "no violation": Wrong(
+        "outputs", changing(arrays(constraint_violation=lambda _: None)), frozenset({"loops"})
+    ),
     "names in another order": Wrong("outputs", changing(arrays(body_names=lambda names: names[::-1]))),
     "outputs nobody asked for": Wrong(
         "outputs",
@@ -286,6 +398,7 @@ WRONG = {
     ),
     "heavier bar": Wrong("motion", changing(arrays(position=lambda x: x + 0.01 * (x - x[0])), "swing")),
     "turns in the world": Wrong("motion", changing(turned_in_the_world, "swing")),
+    "late velocities": Wrong("motion", changing(arrays(angular_velocity=later_rows(1.01)), "swing")),
     "acts on the moving body": Wrong(
         "reaction_sign",
         changing(arrays(reaction_force=np.negative, reaction_torque=np.negative), "backward_swing"),
@@ -305,7 +418,18 @@ WRONG = {
         "ground_second", changing(arrays(actuator_force=np.negative), "backward_drive")
     ),
     "heavier lower bar": Wrong("chain", replacing("double", injection.mass("lower", 0.05))),
-    "open loop": Wrong("loops", replacing("linkage", without_loops)),
+    "late velocities of a chain": Wrong(
+        "chain", changing(arrays(linear_velocity=later_rows(0.99)), "double")
+    ),
+    "open loop": Wrong("loops", replacing("linkage", without_loops), frozenset({"errors"})),
+    "late velocities of a loop": Wrong(
+        "loops", changing(arrays(linear_velocity=later_rows(0.99)), "linkage")
+    ),
+    "drift without violation": Wrong("loops", changing(without_measured_drift, "linkage")),
+    "axes exchanged": Wrong("universals", replacing("cardan", with_exchanged_axes)),
+    "pitch per revolution": Wrong("screws", replacing("screwed", with_pitch_per_revolution)),
+    "no rod": Wrong("rods", replacing("rodded", without_loops)),
+    "rod pushes the first body": Wrong("rods", changing(arrays(reaction_force=np.negative), "rodded")),
     "no gear": Wrong(
         "couplings", replacing("geared", lambda scene: with_parts(scene, scene.mechanism.joints, ()))
     ),
@@ -315,6 +439,41 @@ WRONG = {
         replacing("jumping", with_set_points((0.0, scenes.JUMP_TIME + 1e-3), scenes.SET_POINTS)),
     ),
     "force a period late": Wrong("sampled_control", replacing("sampled", a_period_late)),
+    "no springs": Wrong("joint_springs", replacing("sprung_slide", without("forces"))),
+    "springs at rest at 0": Wrong("joint_springs", replacing("sprung_swing", with_forces(rest=0.0))),
+    "no work of dampers": Wrong("joint_springs", changing(arrays(work=np.zeros_like), "sprung_swing")),
+    "balls at rest at the start": Wrong(
+        "ball_springs", replacing("sprung_ball", with_forces(rest=np.zeros(3)))
+    ),
+    "no dampers of balls": Wrong("ball_springs", replacing("sprung_ball", with_forces(damping=0.0))),
+    "springs of balls in the reaction": Wrong(
+        "ball_springs", changing(arrays(reaction_torque=lambda torque: torque + 1.0), "sprung_ball")
+    ),
+    "no rest length": Wrong("point_springs", replacing("tied_double", with_forces(rest_length=0.0))),
+    "no dampers": Wrong("point_springs", replacing("tied_double", with_forces(damping=0.0))),
+    "no wrenches": Wrong("wrenches", replacing("pushed_swing", without("forces"))),
+    "wrenches in the world": Wrong("wrenches", replacing("pushed_swing", with_forces(frame="world"))),
+    "wrenches at the center": Wrong(
+        "wrenches", replacing("pushed_swing", with_forces(point=np.array([0.5, 0.2, -0.1])))
+    ),
+    "no wind": Wrong("winds", replacing("windy_swing", without("forces"))),
+    "steady wind": Wrong("winds", replacing("windy_swing", with_forces(speed=6.0))),
+    "no friction": Wrong("frictions", replacing("braked_slide", without("forces"))),
+    "no work of friction": Wrong("frictions", changing(arrays(work=np.zeros_like), "braked_slide")),
+    "no stop": Wrong("stops", replacing("stopped_slide", without("forces"))),
+    "no dissipation": Wrong("stops", replacing("stopped_slide", with_forces(dissipation=0.0))),
+    "no belt": Wrong("elastic_gears", replacing("belted", without("forces"))),
+    "no play": Wrong("elastic_gears", replacing("belted", with_forces(play=0.0))),
+    "no loss": Wrong(
+        "elastic_gears",
+        replacing("belted", with_forces(forward_efficiency=1.0, backward_efficiency=1.0)),
+    ),
+    "no motions": Wrong("prescribed_motions", replacing("guided_slide", without("motions"))),
+    "no work of motions": Wrong("prescribed_motions", changing(arrays(work=np.zeros_like), "guided_slide")),
+    "free shoulder": Wrong("prescribed_motions", replacing("guided_double", without("motions"))),
+    "no rotors": Wrong("rotors", replacing("armed_double", without("armatures"))),
+    "rotor in the body": Wrong("rotors", replacing("armed_slide", with_rotor_in_body)),
+    "no rotors of balls": Wrong("ball_rotors", replacing("armed_ball", without("armatures"))),
     "default run as refined": Wrong("refinement", replace(BASE, refined=right)),
     "coarse refined run": Wrong(
         "refinement", replace(BASE, refined=lambda scene: simulate(scene, integrator="Euler", step=1e-4))
@@ -326,6 +485,8 @@ WRONG = {
         "refinement",
         replace(SOLVER, refined_in_full=lambda scene: replace(SOLVER.refined(scene), reaction_force=None)),
     ),
+    "larger error than declared": Wrong("errors", with_error("kinetic_energy", "fast_swing", 1e-5)),
+    "larger error of a loop": Wrong("errors", with_error("kinetic_energy", "linkage", 1e-5)),
     "other last bits": Wrong("fixed_steps", simulating(right, drifting)),
     "another step": Wrong("fixed_steps", simulating(right, of_one_step)),
     "failure ignored": Wrong("stop", simulating(going_on)),
@@ -334,9 +495,14 @@ WRONG = {
     "last output lost": Wrong("stop", with_partial(lambda partial: partial.first(2))),
     "other partial run": Wrong("stop", with_partial(arrays(position=lambda x: 1.01 * x))),
     "time of the end": Wrong("stop", with_partial(lambda partial: partial, time=scenes.stopping().duration)),
-    "heavier equations": Wrong(
-        "equations", replace(BASE, systems=lambda scene: SOLVER.systems(injection.mass("bar", 0.01)(scene)))
+    "heavier equations": Wrong("equations", with_equations("swing", injection.mass("bar", 0.01))),
+    "heavier equations of a chain": Wrong(
+        "equations", with_equations("double", injection.mass("lower", 0.01))
     ),
+    "heavier equations of a loop": Wrong(
+        "equations", with_equations("linkage", injection.mass("coupler", 0.01))
+    ),
+    "another gear in equations": Wrong("equations", with_equations("geared", with_ratio(-2.02))),
     "limits that do not hold": Wrong("limits", replace(BASE, limits=lambda scene: [LIMIT])),
     "unknown settings ignored": Wrong("settings", simulating(right, ignoring)),
 }
@@ -433,6 +599,30 @@ def test_the_place_of_an_error_in_a_library_is_the_line_of_the_engine():
     assert found.place.endswith(f"test_conformance.py:{line}")
 
 
+def test_a_scene_that_takes_too_long_is_a_failure():
+    def endless(scene, settings=NO_SETTINGS):
+        while True:
+            pass
+
+    candidate = Candidate(replace(SOLVER, simulate=endless))
+    with limits_changed({"time": 0.1}):
+        found = [check_point(candidate, point) for point in ("motion", "settings")]
+    assert [(each.result, each.scene) for each in found] == [(Result.FAILS, "swing")] * 2
+    assert "given up after 0.1 s" in found[0].why
+    assert found[0].place.endswith(f"test_conformance.py:{endless.__code__.co_firstlineno}")
+
+
+def test_an_unknown_setting_that_takes_too_long_is_not_refused():
+    def endless(scene, settings=NO_SETTINGS):
+        while settings:
+            pass
+        return right(scene)
+
+    with limits_changed({"time": 0.1}):
+        found = check_point(Candidate(replace(SOLVER, simulate=endless)), "settings")
+    assert found.result is Result.FAILS
+
+
 def nothing(scene, settings=NO_SETTINGS):
     """No run."""
 
@@ -460,6 +650,8 @@ def test_the_page_explains_every_point():
     for point in POINTS:
         assert all(text.endswith(".") for text in explained(point)), point
     assert sections_of_page() == sections(), "python tests/support/contract_points.py writes the page"
+    listed = re.findall(r"\[(\w+)\]\(#\1\)", PAGE.read_text())  # the table of points by group
+    assert sorted(listed) == sorted(POINTS)
 
 
 def test_the_command_prints_each_point(capsys, tmp_path, monkeypatch):
