@@ -3,8 +3,8 @@
 - Constructors of the dataclasses that `newton_euler.model.description` makes have their arguments.
 - Private attributes and attributes of classes (`ClassVar`) are no arguments of a constructor.
 - Named constants in signatures are replaced by their numbers and texts.
-- A line `start, end: ...` in the attributes of a docstring describes both attributes.
-- Attributes of errors have the types of the constructor's arguments.
+- A line `start, end: ...` in the attributes or arguments of a docstring describes both.
+- Attributes that a constructor sets, as those of errors, have the types of its arguments.
 """
 
 from __future__ import annotations
@@ -43,6 +43,12 @@ UNCHECKED = "UNCHECKED"
 MERGED = re.compile(r"^( +)(\w+(?:, \w+)+)(?=: )", re.MULTILINE)
 """Names of several attributes that a docstring describes in one line."""
 
+UNSEEN = re.compile(r"^ {4}(\w+)(?=: )", re.MULTILINE)
+"""Name of an attribute or argument in a docstring, without a type."""
+
+NEXT_SECTION = re.compile(r"^\w+:\n", re.MULTILINE)
+"""Heading of the section after attributes or arguments, such as "Raises:"."""
+
 NO_BREAK = "\u00a0"
 """Space that Griffe does not take for the end of an attribute's name."""
 
@@ -78,9 +84,12 @@ class Descriptions(Extension):
         """Complete all objects of a package."""
         for each in objects(pkg):
             if each.docstring:
-                value = each.docstring.value
-                head, attributes, rest = value.partition("Attributes:\n")
-                each.docstring.value = head + attributes + MERGED.sub(partial(joined, each), rest)
+                section = "Args:\n" if isinstance(each, Function) else "Attributes:\n"
+                head, title, rest = each.docstring.value.partition(section)
+                end = following.start() if (following := NEXT_SECTION.search(rest)) else len(rest)
+                names = MERGED.sub(partial(joined, each), rest[:end])
+                names = UNSEEN.sub(partial(typed, each), names)
+                each.docstring.value = head + title + names + rest[end:]
             if isinstance(each, Function):
                 for parameter in each.parameters:
                     parameter.default = with_values(parameter.default)
@@ -88,8 +97,9 @@ class Descriptions(Extension):
             elif isinstance(each, Attribute) and isinstance(each.parent, Class):
                 each.value = with_values(each.value)
                 if each.annotation is None and (init := each.parent.members.get("__init__")):
-                    with suppress(KeyError, AttributeError):
-                        each.annotation = init.parameters[str(each.value)].annotation
+                    for name in (str(each.value), each.name):  # `self.name = argument`
+                        with suppress(KeyError, AttributeError):
+                            each.annotation = each.annotation or init.parameters[name].annotation
 
 
 def objects(parent: Object) -> Iterator[Object]:
@@ -107,9 +117,36 @@ def joined(owner: Object, names: re.Match[str]) -> str:
         owner: object with these attributes.
         names: indentation and names.
     """
-    first = owner.members.get(names[2].partition(",")[0])
+    name = names[2].partition(",")[0]
+    if isinstance(owner, Function):
+        first: Any = next((each for each in owner.parameters if each.name == name), None)
+    else:
+        first = owner.members.get(name) or inherited(owner, name)
     annotation = getattr(first, "annotation", None) or ""
     return f"{names[1]}{names[2].replace(', ', f',{NO_BREAK}')} ({annotation})"
+
+
+def typed(owner: Object, name: re.Match[str]) -> str:
+    """Return the name of an attribute that Griffe does not see, and the type of the constructor's argument.
+
+    Griffe does not see attributes in assignments such as `self.first, self.second = first, second`.
+
+    Args:
+        owner: object with this attribute.
+        name: indentation and name.
+    """
+    init = owner.members.get("__init__") if isinstance(owner, Class) else None
+    if not isinstance(init, Function) or name[1] in owner.members or name[1] not in init.parameters:
+        return name[0]
+    return f"{name[0]} ({init.parameters[name[1]].annotation})"
+
+
+def inherited(owner: Object, name: str) -> Object | Alias | None:
+    """Return an attribute of a base class; None if there is none."""
+    with suppress(AliasResolutionError, KeyError):
+        if isinstance(owner, Class):
+            return next((base.members[name] for base in owner.mro() if name in base.members), None)
+    return None
 
 
 def with_values(expression: Any) -> Any:

@@ -7,10 +7,12 @@ render without scripts, fonts or a network. `latex2mathml` converts them.
 from __future__ import annotations
 
 import html
+import importlib
+import inspect
 import posixpath
 import re
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache, partial
 from importlib import metadata
 from inspect import cleandoc
@@ -51,7 +53,8 @@ PROMPT = '<span class="gp">'
 LINK_OF_NOTEBOOK = re.compile(r'href="([^":#]+\.(?:md|ipynb))(#[^"]*)?"')
 """A link to a page by its file, as Jupyter follows it. MkDocs converts links of Markdown pages only."""
 
-TABLE = re.compile(r"<table>(.*?)</table>(\s*<p>Table: .*?</p>)?", re.DOTALL)
+TABLE = re.compile(r"<table>(.*?)</table>(?:(?:\s*<!--[^>]*-->)?(\s*<p>Table: .*?</p>))?", re.DOTALL)
+"""A table and its caption. A comment may stand between both, such as the end mark of a generated table."""
 MAX_OPEN_ROWS = 16
 """Rows of the longest table of results that is shown unfolded."""
 
@@ -64,8 +67,11 @@ TABLE_OF_COMMANDS = "<!-- table of commands -->"
 EXPLANATIONS = re.compile("<!-- explanations: (.+) -->")
 """Place in a page that takes the texts of `crosscheck explain` on a topic."""
 
-INDEX_OF_NAMES = "<!-- index of names -->"
-"""Place in a page that takes a table of all public names with links."""
+INDEX_OF_NAMES = re.compile("<!-- names: (.+) -->")
+"""Place in a page that takes a table of the public names on some pages of the Python reference."""
+
+INDEX_OF_RESULTS = "<!-- names of results -->"
+"""Place in a page that takes a table of the classes that are documented but not public."""
 
 NAME = re.compile(r"^::: (\S+)\n(?: +options:\n(?: +(?:heading: (.+)|.*)\n)*)?", re.MULTILINE)
 """A name that mkdocstrings documents, and its heading if it is not the name."""
@@ -75,6 +81,9 @@ MEMBERS = re.compile(r"^ +members: \[(.+)\]", re.MULTILINE)
 
 NAMES_FOLDER = "reference/python/"
 """Folder of the pages of Python names."""
+
+PAGES_OF_IMPORTS = ("engine", "errors")
+"""Pages of Python names of which all are imported by users, whatever their module."""
 
 MENTIONED = re.compile(r"<(a|autoref|pre|h[1-6])\b.*?</\1>|<code>([\w.]+)</code>", re.DOTALL)
 """A name in a sentence, or an element in which names are not linked."""
@@ -115,8 +124,9 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, **_: objec
     page.meta.setdefault("search", {})["boost"] = BOOSTS.get(folder, 1.0)
     if TABLE_OF_COMMANDS in markdown:
         markdown = markdown.replace(TABLE_OF_COMMANDS, "\n".join(table_of_commands()))
-    if INDEX_OF_NAMES in markdown:
-        markdown = markdown.replace(INDEX_OF_NAMES, "\n".join(index_of_names(config)))
+    if INDEX_OF_RESULTS in markdown:
+        markdown = markdown.replace(INDEX_OF_RESULTS, "\n".join(index_of_results(config)))
+    markdown = INDEX_OF_NAMES.sub(lambda place: "\n".join(index_of_names(place[1].split())), markdown)
     markdown = EXPLANATIONS.sub(lambda place: "\n".join(explanations(place[1])), markdown)
     return COMMANDS.sub(lambda place: "\n".join(commands(place[1])), markdown)
 
@@ -182,19 +192,56 @@ def markdown_text(text: str) -> str:
     return "`".join(parts)
 
 
-def index_of_names(config: MkDocsConfig) -> Iterator[str]:
-    """Yield the lines of a table of the names that the pages of the Python reference document."""
-    yield "| page | names |\n|---|---|"
+def index_of_names(pages: Iterable[str]) -> Iterator[str]:
+    """Yield the lines of a table of public names: path for imports, link, and what the name is.
+
+    Args:
+        pages: pages of the Python reference, such as "simulate", whose names the table has.
+    """
+    yield "| name | what it is |\n|---|---|"
+    for page in pages:
+        for name, heading in NAME.findall((DOCS / NAMES_FOLDER / f"{page}.md").read_text()):
+            if is_public(page, name, heading):
+                label = f'<a id="{name}"></a>[`{heading or name}`](python/{page}.md#{name})'
+                yield f"| {label} | {description(name)} |"
+
+
+def index_of_results(config: MkDocsConfig) -> Iterator[str]:
+    """Yield the lines of a table of the documented classes that are not public, in the order of the site."""
+    yield "| class | module | what it is |\n|---|---|---|"
     for path in pages_of(config.nav, NAMES_FOLDER):
-        text = (DOCS / path).read_text()
-        title, page = text.partition("\n")[0].removeprefix("# "), path.removeprefix("reference/")
-        links = []
-        for name, heading in NAME.findall(text):
-            package, _, last = name.rpartition(".")
-            is_public = "." not in package and package != "newton_euler"
-            label = (heading or (name if is_public else last)).removeprefix("newton_euler.")
-            links.append(f'<a id="{name}"></a>[`{label}`]({page}#{name})')
-        yield f"| [{title}]({page}) | {', '.join(links)} |"
+        page = Path(path).stem
+        for name, heading in NAME.findall((DOCS / path).read_text()):
+            if not is_public(page, name, heading):
+                module, _, last = name.rpartition(".")
+                label = f'<a id="{name}"></a>[`{last}`](python/{page}.md#{name})'
+                yield f"| {label} | `{module}` | {description(name)} |"
+
+
+def is_public(page: str, name: str, heading: str) -> bool:
+    """Return whether you import a name: functions, modules, exported classes, errors, and parts of engines.
+
+    Args:
+        page: page of the Python reference with the name.
+        name: path of the name.
+        heading: path for imports if it is shorter; "" otherwise.
+    """
+    if page in PAGES_OF_IMPORTS or name.rpartition(".")[2][0].islower():
+        return True
+    package, _, exported = (heading or name).rpartition(".")
+    return "." not in package and exported in importlib.import_module(package).__all__
+
+
+def description(name: str) -> str:
+    """Return the first paragraph of the docstring of a Python name, as Markdown for a cell of a table."""
+    module, _, attribute = name.rpartition(".")
+    documented = importlib.import_module(module)
+    try:
+        documented = getattr(documented, attribute)
+    except AttributeError:  # a module
+        documented = importlib.import_module(name)
+    first = (inspect.getdoc(documented) or "").partition("\n\n")[0]
+    return markdown_text(" ".join(first.split())).replace("|", r"\|")
 
 
 def pages_of(nav: object, folder: str) -> Iterator[str]:
