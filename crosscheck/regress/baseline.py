@@ -65,7 +65,7 @@ OPERATIONS_PREFIX = "operations of "
 COUNT_SUFFIXES = (": steps", ": evaluations")
 """Ends of the names of quantities that count the work of an integrator."""
 
-FILE_FORMAT = 3
+FILE_FORMAT = 4
 """Version of the file format that `read_baseline` accepts and `Baseline.text` writes."""
 
 OWN_RUN_GROUP: GroupName = "own_run"
@@ -258,7 +258,7 @@ class Baseline(_Strict):
         history: all updates of the baseline, the last one last.
         plan: settings of the measurement.
         left_out: groups without quantities, and the reason for each.
-        quantities: all measured quantities, in the order of their groups; named `figures` in the file.
+        quantities: all measured quantities, in the order of their groups.
         sha256: checksum of all other fields; empty until `text` is called.
     """
 
@@ -269,7 +269,7 @@ class Baseline(_Strict):
     history: Annotated[list[UpdateRecord], Field(min_length=1)]
     plan: MeasurementPlan
     left_out: dict[GroupName, str]
-    quantities: list[StoredQuantity] = Field(alias="figures", min_length=1)
+    quantities: Annotated[list[StoredQuantity], Field(min_length=1)]
     sha256: str = ""
 
     @field_validator("format")
@@ -287,7 +287,7 @@ class Baseline(_Strict):
         names = Counter((quantity.group, quantity.name) for quantity in self.quantities)
         for (group, name), count in names.items():
             if count > 1:
-                raise ValueError(f"figures: {name!r} of group {group!r} is given twice")
+                raise ValueError(f"quantities: {name!r} of group {group!r} is given twice")
         return self
 
     @property
@@ -312,11 +312,11 @@ class Baseline(_Strict):
         return next(matching, None)
 
     def text(self) -> str:
-        """Format the JSON file: one line per field, and one line per entry of `unsimulated` and `figures`."""
+        """Format the JSON file: a line per field, and a line per entry of `unsimulated` and `quantities`."""
         parts = []
-        for key, value in with_checksum(self.model_dump(mode="json", by_alias=True)).items():
+        for key, value in with_checksum(self.model_dump(mode="json")).items():
             text = json.dumps(value, allow_nan=False)
-            if key in ("unsimulated", "figures") and value:
+            if key in ("unsimulated", "quantities") and value:
                 text = ",\n".join(f"  {json.dumps(entry, allow_nan=False)}" for entry in value)
                 text = f"[\n{text}\n ]"
             parts.append(f" {json.dumps(key)}: {text}")

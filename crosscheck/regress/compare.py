@@ -201,7 +201,7 @@ class Comparison:
             "versions": self.versions,
             "diverges": self.diverges,
             "wall_time": self.wall_time,
-            "figures": [
+            "checks": [
                 asdict(check)
                 | {"moved": check.moved, "cheaper": check.cheaper, "more_accurate": check.more_accurate}
                 for check in self.checks

@@ -184,7 +184,7 @@ def make_baseline(
         history=[*history, UpdateRecord.now(reason, chosen)],
         plan=plan,
         left_out=left_out,
-        figures=quantities,
+        quantities=quantities,
     )
 
 

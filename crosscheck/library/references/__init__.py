@@ -1,7 +1,7 @@
 """Reference values of library scenes: closed forms, quadratures and published solutions.
 
 The folder has one JSON file per scene with the source of its reference values. Each entry of the list
-`figures` in a file is a `ReferenceValue`.
+`values` in a file is a `ReferenceValue`.
 """
 
 from __future__ import annotations
@@ -42,4 +42,4 @@ def reference_values(scene: str) -> tuple[ReferenceValue, ...]:
     if not file.is_file():
         return ()
     content: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    return tuple(ReferenceValue(**entry) for entry in content["figures"])
+    return tuple(ReferenceValue(**entry) for entry in content["values"])

@@ -25,7 +25,7 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(20)
 
 @cache
 def exact_run(name, **options):
-    """At the tolerance that known figures are held against; round-off takes over below."""
+    """At the tolerance of the comparison with reference values; round-off takes over below."""
     return newton_euler.simulate(load(name, **options), rtol=1e-13, atol=1e-15)
 
 
@@ -50,7 +50,7 @@ def about(axis, angle):
     return out
 
 
-# Every known figure
+# Every reference value
 
 
 KNOWN = [
@@ -62,7 +62,7 @@ KNOWN = [
 
 
 @pytest.mark.parametrize(("name", "known"), KNOWN)
-def test_known_figures_to_ten_digits(name, known):
+def test_reference_values_to_ten_digits(name, known):
     run = exact_run(name, **known.options)
     n = int(np.argmin(abs(run.time - known.time)))
     assert run.time[n] == pytest.approx(known.time, abs=1e-12)

@@ -81,7 +81,7 @@ def test_a_longer_step_fails_and_a_shorter_one_is_more_accurate(capsys, guarded)
     assert status == 1
     assert "crosscheck run names cause and fix" in out
     (scene,) = content["scenes"]
-    moved = {each["quantity"]: each for each in scene["figures"] if each["moved"]}
+    moved = {each["quantity"]: each for each in scene["checks"] if each["moved"]}
     assert set(moved) == set(NAMES) - {"loop opening", "loop angle"}
     assert moved["relative error"]["now"] == pytest.approx(2.0 * moved["relative error"]["was"], rel=0.1)
     assert moved["relative error"]["reason"] == ERROR_TOLERANCE_REASON
@@ -104,7 +104,7 @@ def test_a_run_that_diverges_fails(capsys, guarded):
     status, out, content = compared(capsys, guarded)
     assert status == 1
     (scene,) = content["scenes"]
-    problems = {each["problem"] for each in scene["figures"] if each["level"] == OWN_RUN_GROUP}
+    problems = {each["problem"] for each in scene["checks"] if each["level"] == OWN_RUN_GROUP}
     assert all("the run with the settings of the file diverges: " in problem for problem in problems)
     # and no baseline of its errors can be made
     (guarded / "swing.baseline.json").unlink()

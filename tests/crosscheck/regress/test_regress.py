@@ -218,7 +218,7 @@ def test_what_is_cheaper_is_reported_in_every_format(capsys, tmp_path, guarded, 
     content = json.loads(Path("out/regress.json").read_text())
     assert (content["quiet"], content["cheaper"]) == (True, ["mine"])
     (scene,) = content["scenes"]
-    (entry,) = [each for each in scene["figures"] if each["cheaper"]]
+    (entry,) = [each for each in scene["checks"] if each["cheaper"]]
     assert (entry["quantity"], entry["moved"], entry["was"], entry["now"]) == (name, False, 2.0 * cost, cost)
     assert f"joint coordinates: {name}" in Path("out/summary.md").read_text()
     suite = ElementTree.parse("out/junit.xml").getroot().find("testsuite")
@@ -353,9 +353,9 @@ def test_a_user_guards_a_model(capsys, guarded, monkeypatch):
     (scene,) = content["scenes"]
     assert (content["quiet"], scene["recording"]) == (False, "output/regress/mine/mine.rrd")
     suite = ElementTree.parse(folder / "junit.xml").getroot().find("testsuite")
-    moved = sum(each["moved"] for each in scene["figures"])
+    moved = sum(each["moved"] for each in scene["checks"])
     assert int(suite.get("failures")) == len(suite.findall("testcase/failure")) == moved > 10
-    assert int(suite.get("tests")) == len(suite.findall("testcase")) == len(scene["figures"])
+    assert int(suite.get("tests")) == len(suite.findall("testcase")) == len(scene["checks"])
     summary = (folder / "summary.md").read_text()
     assert summary.startswith("# crosscheck regress\n\n**MOVED: 1 of 1 scenes: mine**")
 

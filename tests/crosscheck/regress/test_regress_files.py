@@ -38,7 +38,7 @@ def small_baseline():
     return Baseline(
         scene="tracker", options={}, history=[UpdateRecord.now("first", [])], left_out={},
         plan=MeasurementPlan(rtol={"relative": 1e-9}, step=0.1, time=0.0, state=state),
-        figures=[
+        quantities=[
             StoredQuantity(
                 group="relative", name="position", unit="m", rows=["bar"], columns=["x"],
                 value=[[1.0 / 3.0]], tolerance=[1e-9],
@@ -71,18 +71,18 @@ def test_a_baseline_survives_its_file(tmp_path):
         (lambda c: c.update(format=2), "format: another version of crosscheck wrote the file"),
         (lambda c: c["history"][0].update(reason=""), "history.0.reason"),
         (
-            lambda c: c["figures"][0].update(group="Speed"),
-            "figures.0.group: 'Speed' is no group; ",
+            lambda c: c["quantities"][0].update(group="Speed"),
+            "quantities.0.group: 'Speed' is no group; ",
         ),
-        (lambda c: c["figures"][0].update(tolerance=[1.0, 1.0]), "figures.0: tolerance has 2 numbers"),
+        (lambda c: c["quantities"][0].update(tolerance=[1.0, 1.0]), "quantities.0: tolerance has 2 numbers"),
         (
-            lambda c: c["figures"][0].update(value=[[1.0, 2.0]]),
-            "figures.0: value is not a table",
+            lambda c: c["quantities"][0].update(value=[[1.0, 2.0]]),
+            "quantities.0: value is not a table",
         ),
-        (lambda c: c.update(figures=c["figures"] * 2), "file: figures: 'position'"),
+        (lambda c: c.update(quantities=c["quantities"] * 2), "file: quantities: 'position'"),
         (lambda c: c["plan"]["state"].update(position=[[0.0]]), "plan.state.position.0.1: Field required"),
-        (lambda c: c["figures"][0].update(tolerance=[1e9]), "sha256: does not fit the other fields"),
-        (lambda c: c["figures"][0].update(value=[[0.5]]), "sha256: does not fit the other fields"),
+        (lambda c: c["quantities"][0].update(tolerance=[1e9]), "sha256: does not fit the other fields"),
+        (lambda c: c["quantities"][0].update(value=[[0.5]]), "sha256: does not fit the other fields"),
         (lambda c: c.pop("sha256"), "sha256: does not fit the other fields"),
         (lambda c: reseal(c, scene="four_bar"), "scene: it is of 'four_bar', not of 'tracker'"),
         (

@@ -10,7 +10,7 @@ from crosscheck.library.references import ReferenceValue
 from crosscheck.report.run import tables
 
 
-def test_known_figures_stand_beside_what_was_found():
+def test_reference_values_stand_beside_what_was_found():
     known = ReferenceValue(2.0, "angle", "rad", 0.25, 1e-9)
     offsets = (("a", 1e-9), ("b", 0.5))
     checks = [ReferenceCheck.of(name, known, 0.25 + off, 1e-8) for name, off in offsets]

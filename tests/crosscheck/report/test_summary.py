@@ -50,7 +50,7 @@ def test_levels_have_the_worst_of_each_engine_and_the_one_nearest_its_tolerance(
     }
 
 
-def test_what_is_not_judged_is_not_counted_and_files_and_known_figures_are():
+def test_what_is_not_judged_is_not_counted_and_files_and_reference_values_are():
     informs = Check("kinematics", "condition", ("newton_euler", "mujoco"), 1e3, 1.0, "", judged=False)
     known = ReferenceValue(2.0, "angle", "rad", 0.25, 1e-9)
     reference_checks = [ReferenceCheck.of("mujoco", known, 0.25 + 2e-9, 1e-8)]

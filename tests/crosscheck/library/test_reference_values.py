@@ -1,4 +1,4 @@
-"""Known figures: which hold for a run, how they are judged, and what the commands make of them."""
+"""Reference values: which hold for a run, how they are judged, and what the commands make of them."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ def test_a_figure_between_outputs_is_refused(swing):
 # Commands
 
 
-def test_run_prints_and_stores_known_figures(capsys, tmp_path):
+def test_run_prints_and_stores_reference_values(capsys, tmp_path):
     arguments = ("--engines", "newton_euler,pinocchio", "--output", tmp_path)
     status, out, _ = run(capsys, "run", "free_top", *arguments)
     assert status == 0
