@@ -29,8 +29,9 @@ LOST = {
     ("stewart", ".urdf"): {("joint", Q.STIFFNESS)},
     ("andrews", ".urdf"): {("spring", Q.PRESENCE)},
     ("flyball_governor", ".urdf"): {("spring", Q.PRESENCE)},
-    # prescribed motions, which an MJCF cannot hold, become joints that are held
-    ("tracker_on_boat", ".xml"): {("coupling", Q.PRESENCE)},
+    # prescribed motions, which no file can hold; in an MJCF their joints are held
+    ("tracker_on_boat", ".xml"): {("coupling", Q.PRESENCE), ("joint", Q.SETTING)},
+    ("tracker_on_boat", ".urdf"): {("joint", Q.SETTING)},
     # controls that depend on time, and wind, become constant motors
     ("tracker_wind", ".xml"): {("drive", Q.GAIN), ("drive", Q.CONSTANT), ("drive", Q.PRESENCE)},
     ("tracker_computed_torque", ".xml"): {("drive", Q.PRESENCE)},

@@ -109,12 +109,10 @@ def test_files_are_run_each_by_itself(tmp_path: Path) -> None:
         done = CliRunner().invoke(main, arguments)
         assert done.exit_code == 0, done.output
         text = (tmp_path / "models.md").read_text()
-        assert "| arm.xml | duration=0.05 | AGREE | 3 of 3 | 2 elements are inactive |" in text
-        assert "| broken.xml | duration=0.05 | refused: it is no XML |" in text
-        assert (
-            "| floor.xml | duration=0.05 | AGREE ON A REDUCED MODEL: without contacts, which act from" in text
-        )
+        assert "| arm | AGREE |  | 3 of 3 | 2 elements are inactive |" in text
+        assert "| broken | refused | it is no XML |" in text
+        assert "| floor | AGREE ON A REDUCED MODEL | without contacts, which act from" in text
         assert "| contacts | 1 |" in text
         again = CliRunner().invoke(main, [*arguments, "--only", "broken"])
         assert "arm.xml" not in again.output
-        assert "| arm.xml | duration=0.05 | AGREE" in (tmp_path / "models.md").read_text()
+        assert "| arm | AGREE" in (tmp_path / "models.md").read_text()

@@ -421,10 +421,15 @@ def frame_moved(file: ModelText, random: np.random.Generator) -> Plant:
 
 
 def _number(
-    file: ModelText, random: np.random.Generator, name: str, quantity: Quantity, size: float
+    file: ModelText,
+    random: np.random.Generator,
+    name: str,
+    quantity: Quantity,
+    size: float,
+    joints: Iterable[str] | None = None,
 ) -> Plant:
-    """Make a number of a joint larger by half, or give it a size if it is zero or infinite."""
-    joint = chosen(random, _with_child(file))
+    """Make a number of one of the joints larger by half, or give it a size if it is zero or infinite."""
+    joint = chosen(random, _with_child(file) if joints is None else joints)
     value = file.number(joint, name)
     is_given = value and math.isfinite(value)
     file.set_number(joint, name, 1.5 * value if is_given else size)
@@ -445,8 +450,9 @@ def dry_friction(file: ModelText, random: np.random.Generator) -> Plant:
 
 @common
 def effort_limit(file: ModelText, random: np.random.Generator) -> Plant:
-    """Make the effort limit of a joint larger by 50 %, or give it 50 N m."""
-    return _number(file, random, "effort", Quantity.EFFORT, 50.0)
+    """Make the effort limit of a driven joint larger by 50 %, or give it 50 N m."""
+    driven = [joint for joint in _with_child(file) if file.can_be_driven(joint)]
+    return _number(file, random, "effort", Quantity.EFFORT, 50.0, driven)
 
 
 @common

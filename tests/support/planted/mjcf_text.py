@@ -289,6 +289,9 @@ class MjcfText(ModelText):
         servos = [bias[self.model.actuator(str(each.get("name"))).id] for each in self.drives(joint)]
         return any(servos) or self.number(joint, "stiffness") != 0.0
 
+    def can_be_driven(self, joint: str) -> bool:
+        return bool(self.drives(joint))
+
     def _refuse_coupled(self, joint: str) -> None:
         """Raise `NotApplicable` for a joint of a coupling or a tendon, or with a spring."""
         for section in ("equality", "tendon"):

@@ -222,3 +222,7 @@ class ModelText(ABC):
     @abstractmethod
     def is_servo_driven(self, joint: str) -> bool:
         """Return whether a drive or a spring of a joint depends on the zero of the joint's coordinate."""
+
+    @abstractmethod
+    def can_be_driven(self, joint: str) -> bool:
+        """Return whether a limit of the effort of a joint may limit a drive."""

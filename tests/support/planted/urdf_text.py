@@ -184,6 +184,9 @@ class UrdfText(ModelText):
             return True
         return False
 
+    def can_be_driven(self, joint: str) -> bool:
+        return True  # a URDF has no drives, and limits those of its user
+
     def _joint(self, body: str) -> ET.Element:
         """Return the joint above a body."""
         if body not in self.joint_above:
