@@ -23,9 +23,9 @@ class Importers(Shown):
         comparison: the complete result, with the comparison of each importer in `comparison.others`.
 
     Examples:
-        >>> found: Importers = importers("examples/linkage.xml")
+        >>> found: Importers = importers("examples/lander_leg.xml")
         >>> found.same, found["MuJoCo"].result.value, found["Pinocchio"].result.value
-        (False, 'SAME', 'NOT DESCRIBED')
+        (False, 'SAME', 'DIFFERENT')
     """
 
     comparison: ImportersComparison
