@@ -19,6 +19,8 @@ import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from importlib.machinery import ExtensionFileLoader
+from types import FrameType
 
 INTERRUPTED = "crosscheck: error: interrupted\n"
 """Message at an interrupt (Ctrl-C) while packages are imported."""
@@ -88,6 +90,12 @@ in an abort of LLVM or a panic of Rerun."""
 MIN_OPEN_FILES = 128
 """Smallest permitted limit of open files. With 12 or fewer Rerun panics, with 16 pictures have no fonts."""
 
+NATIVE_IMPORTS = (ExtensionFileLoader.create_module.__code__, ExtensionFileLoader.exec_module.__code__)
+"""Code of Python that imports native modules."""
+
+RETRY_S = 0.02
+"""Time after which an interrupt is repeated, s."""
+
 GC_THRESHOLD = 1_000_000
 """Number of new objects after which Python's garbage collector searches for cycles. `run tracker` ends with
 220,000 objects, of which 28,000 are garbage in cycles. A search after every 20,000 objects takes 9 % of the
@@ -136,15 +144,9 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         sys.stdout.reconfigure(errors="backslashreplace")
     hook = sys.unraisablehook
     sys.unraisablehook = lambda _: None
-    interrupts = list[int]()
-
-    def raise_interrupt(number: int, _: object) -> None:
-        interrupts.append(number)
-        raise KeyboardInterrupt
-
     try:
         # results are checked for finiteness where they are used; NumPy's warnings would repeat that
-        with warnings.catch_warnings(), _interrupt_calls(raise_interrupt):
+        with warnings.catch_warnings(), _interrupt_calls(_raise_interrupt):
             warnings.simplefilter("ignore")
             status = _invoke(arguments)
     except KeyboardInterrupt as interrupt:
@@ -156,14 +158,26 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         if isinstance(error, OSError) and of_stream:
             status = _print_stream_error(error)
         else:
-            reason = _reason(error)
-            # a native module that is interrupted during its import raises an error of another kind
-            is_interrupt = bool(interrupts) and reason.startswith("internal error")
-            _print_error("interrupted" if is_interrupt else reason, open_streams)
-            status = INTERRUPTED_STATUS if is_interrupt else BAD_INPUT
+            _print_error(_reason(error), open_streams)
+            status = BAD_INPUT
     finally:
         sys.unraisablehook = hook
     sys.exit(status)
+
+
+def _raise_interrupt(number: int, frame: FrameType | None) -> None:
+    """Raise `KeyboardInterrupt`, but not within the import of a native module: try again a little later.
+
+    A native module that is interrupted during its import raises an error of another kind, such as
+    "ImportError: initialization failed", which would be reported as an error of an engine.
+    """
+    while frame is not None:
+        if frame.f_code in NATIVE_IMPORTS:
+            signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(number))
+            signal.setitimer(signal.ITIMER_REAL, RETRY_S)
+            return
+        frame = frame.f_back
+    raise KeyboardInterrupt
 
 
 def _open_streams() -> list[TextIO]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _imp
 import json
 import os
 import random
@@ -12,13 +13,16 @@ import signal
 import subprocess
 import sys
 import time
+from importlib.machinery import ExtensionFileLoader, ModuleSpec
 from pathlib import Path
+from types import ModuleType
 from xml.etree import ElementTree
 
 import pytest
 from command_line import command, run, scene_file, short_example
 from rerun.chunk import RrdReader
 
+from crosscheck.cli import _raise_interrupt
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.files import ABANDONED_AFTER_S, write_files
 from newton_euler.model.trajectory import load_arrays
@@ -276,3 +280,23 @@ def test_an_interrupt_at_any_time_is_one_line(tmp_path, seed):
     else:  # the command was through; Python ends itself by the signal if it was about to exit
         assert (process.returncode in (0, -signal.SIGINT), said) == (True, "")
     assert not [path for path in tmp_path.rglob(".*") if path.is_file() and path.name != ".sweep.lock"]
+
+
+def test_an_interrupt_waits_for_the_import_of_a_native_module(monkeypatch):
+    """A native module that is interrupted raises an ImportError, which is no interrupt."""
+    imported = []
+
+    def create(spec):
+        signal.raise_signal(signal.SIGINT)
+        imported.append(spec.name)
+        return ModuleType(spec.name)
+
+    monkeypatch.setattr(_imp, "create_dynamic", create)
+    before = signal.signal(signal.SIGINT, _raise_interrupt)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            ExtensionFileLoader("native", "native.so").create_module(ModuleSpec("native", None))
+            time.sleep(10.0)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert imported == ["native"]
