@@ -291,12 +291,15 @@ def test_an_interrupt_waits_for_the_import_of_a_native_module(monkeypatch):
         imported.append(spec.name)
         return ModuleType(spec.name)
 
+    def import_and_wait():
+        ExtensionFileLoader("native", "native.so").create_module(ModuleSpec("native", None))
+        time.sleep(10.0)
+
     monkeypatch.setattr(_imp, "create_dynamic", create)
     before = signal.signal(signal.SIGINT, _raise_interrupt)
     try:
         with pytest.raises(KeyboardInterrupt):
-            ExtensionFileLoader("native", "native.so").create_module(ModuleSpec("native", None))
-            time.sleep(10.0)
+            import_and_wait()
     finally:
         signal.signal(signal.SIGINT, before)
     assert imported == ["native"]
