@@ -144,11 +144,21 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         sys.stdout.reconfigure(errors="backslashreplace")
     hook = sys.unraisablehook
     sys.unraisablehook = lambda _: None
+    interrupts = list[int]()
+
+    def raise_interrupt(number: int, frame: FrameType | None) -> None:
+        interrupts.append(number)
+        _raise_interrupt(number, frame)
+
     try:
         # results are checked for finiteness where they are used; NumPy's warnings would repeat that
-        with warnings.catch_warnings(), _interrupt_calls(_raise_interrupt):
+        with warnings.catch_warnings(), _interrupt_calls(raise_interrupt):
             warnings.simplefilter("ignore")
-            status = _invoke(arguments)
+            try:
+                status = _invoke(arguments)
+            finally:
+                if interrupts:  # one that waits for an import comes too late
+                    signal.setitimer(signal.ITIMER_REAL, 0.0)
     except KeyboardInterrupt as interrupt:
         _print_error(": ".join(["interrupted", *map(str, interrupt.args)]), open_streams)
         status = INTERRUPTED_STATUS
@@ -158,8 +168,11 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         if isinstance(error, OSError) and of_stream:
             status = _print_stream_error(error)
         else:
-            _print_error(_reason(error), open_streams)
-            status = BAD_INPUT
+            reason = _reason(error)
+            # Python raises a RuntimeError if it is interrupted while it makes a class
+            is_interrupt = bool(interrupts) and reason.startswith("internal error")
+            _print_error("interrupted" if is_interrupt else reason, open_streams)
+            status = INTERRUPTED_STATUS if is_interrupt else BAD_INPUT
     finally:
         sys.unraisablehook = hook
     sys.exit(status)
@@ -171,6 +184,7 @@ def _raise_interrupt(number: int, frame: FrameType | None) -> None:
     A native module that is interrupted during its import raises an error of another kind, such as
     "ImportError: initialization failed", which would be reported as an error of an engine.
     """
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
     while frame is not None:
         if frame.f_code in NATIVE_IMPORTS:
             signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(number))

@@ -55,7 +55,7 @@ def test_whole_turns_are_counted(rate):
     assert seen == pytest.approx(rate * time, abs=1e-12)  # 300 rad at 2e-16 each, and the sine of as much
 
 
-def test_figures_are_those_of_the_options():
+def test_values_are_those_of_the_options():
     assert {known.options["N"] for known in known_of("four_bar", {})} == {2}
     assert {known.options["N"] for known in known_of("four_bar", {"N": "40"})} == {40}
     assert known_of("four_bar", {"N": "3"}) == []

@@ -65,7 +65,7 @@ def test_the_closed_form_is_the_reference():
 
 
 @pytest.mark.slow
-def test_reference_figures(windows_run):
+def test_reference_values(windows_run):
     windows, run = windows_run
     for known in (known for known in reference_values("four_bar") if known.options["N"] == windows):
         found = REFERENCE_QUANTITIES["four_bar"][known.quantity](run)[np.argmin(abs(run.time - known.time))]

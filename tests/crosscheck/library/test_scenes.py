@@ -72,10 +72,10 @@ def test_reference_values_to_ten_digits(name, known):
     )
 
 
-def test_every_scene_with_figures_has_references_for_all_of_them():
+def test_every_quantity_has_reference_values():
     assert REFERENCE_QUANTITIES.keys() <= SCENES.keys()
-    for name, figures in REFERENCE_QUANTITIES.items():
-        assert {known.quantity for known in reference_values(name)} == set(figures)
+    for name, quantities in REFERENCE_QUANTITIES.items():
+        assert {known.quantity for known in reference_values(name)} == set(quantities)
 
 
 @pytest.mark.parametrize(
